@@ -58,10 +58,25 @@ class StackRecord(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class About:
+    """What a report states about a specimen and its measurement, none of it measured."""
+
+    serial_number: str | None = None  #: Serial number of the camera or tube
+    operator: str | None = None  #: Who took the frames
+    date: str | None = None  #: When the frames were taken, as it shall be printed
+    remarks: str | None = None  #: Remarks on specimen or measurement
+    logo: str | None = None  #: Picture for the head of the report, relative to the session's folder
+    #: Unit of frequencies on the report, such as lp/mm; by default lp/mm at the cathode of a
+    #: described tube, else cy/px
+    units: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class SessionFile:
     """A session file, session.toml."""
 
     name: str  #: Name of the session
+    about: About | None = None  #: What its report states about the specimen
     #: Name of a shipped sensor description, or the path of one relative to the session's folder
     sensor: str | None = None
     bit_depth: int | None = None  #: Bits of the digitiser; full scale is 2^bits - 1
@@ -251,6 +266,7 @@ class Session:
     #: description
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
+    about: About = field(default_factory=About)  #: What its report states about the specimen
 
     __repr__ = short_repr
 
@@ -352,6 +368,7 @@ def session_of(folder: Path, form: SessionFile) -> Session:
         camera=camera,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
+        about=form.about or About(),
         notes=(
             *form.notes,
             *_superfluous_targets(stacks),

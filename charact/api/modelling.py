@@ -127,6 +127,25 @@ def report(
     ] = None,
     purpose: PurposeName = None,
     pdf: Annotated[bool, Setting("Also write a PDF.")] = False,
+    serial_number: Annotated[
+        str | None, Setting("Serial number in the head (default: from the session).")
+    ] = None,
+    operator: Annotated[
+        str | None, Setting("Operator in the head (default: from the session).")
+    ] = None,
+    remarks: Annotated[
+        str | None, Setting("Remarks in the head (default: from the session).")
+    ] = None,
+    logo: Annotated[
+        str | Path | None, Setting("Picture for the head (default: from the session).")
+    ] = None,
+    units: Annotated[
+        str | None,
+        Setting(
+            "Unit of frequencies, as of `charact mtf` (default: from the session, else lp/mm at "
+            "the cathode of a described tube, else cy/px)."
+        ),
+    ] = None,
     seed: Seed = 0,
 ) -> Path:
     """Write the report of a session as one HTML file.
@@ -153,8 +172,16 @@ def report(
     if on_disk:
         result = result or result_io.load(session.folder)
         validation = validation or load(session.folder)
+    stated = {
+        "serial_number": serial_number,
+        "operator": operator,
+        "remarks": remarks,
+        "units": units,
+        "logo": None if logo is None else str(Path(logo).absolute()),
+    }
+    about = replace(session.about, **{key: text for key, text in stated.items() if text})
     return write(
-        session,
+        replace(session, about=about),
         result or measure(session, seed=seed),
         out or session.folder / "report.html",
         validation=validation,

@@ -2,9 +2,12 @@
 a tube's resolution.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from charact.reporting import (
     bloom_images,
@@ -16,7 +19,9 @@ from charact.reporting import (
     session_curves,
 )
 from charact.reporting.figure_svg import as_svg
+from charact.reporting.frequency_unit import unit_title
 from charact.reporting.style import COLOURS, arms, first_array, panels, plot_line, report_style
+from charact.reporting.summary import Frequency, in_cycles_per_pixel
 
 Data = Mapping[str, Any]
 DIRECTIONS = {0.0: "along rows", 90.0: "along columns"}
@@ -308,9 +313,9 @@ class Figure:
     refusal_reason: str = ""
 
 
-def figure_of(name: str, data: Data) -> Figure:
-    """Plot figure data; data that cannot be plotted, such as empty lists, have the reason
-    instead.
+def figure_of(name: str, data: Data, frequency: Frequency = in_cycles_per_pixel) -> Figure:
+    """Plot figure data, spatial frequencies in a unit; data that cannot be plotted, such as empty
+    lists, have the reason instead.
     """
     kind = kind_of(name, data)
     section, draw, caption = FIGURES.get(kind, ("other", None, ""))
@@ -319,12 +324,36 @@ def figure_of(name: str, data: Data) -> Figure:
     if draw is not None:
         try:
             with report_style():
-                svg, why = as_svg(draw(data), title), ""
+                figure = draw(data)
+                _show_in_unit(figure, *frequency(1.0))
+                svg, why = as_svg(figure, title), ""
         except (KeyError, ValueError, TypeError, IndexError) as error:
             why = f"its data cannot be plotted ({type(error).__name__}: {error})"
     return Figure(
         section=section, title=title, svg=svg, kind=kind, caption=caption, refusal_reason=why
     )
+
+
+def _show_in_unit(figure: Any, per_cycle: float, unit: str) -> None:
+    """Label the axes of spatial frequency, which are in cycles per column pitch, in another
+    unit.
+    """
+    from matplotlib.ticker import AutoLocator, FuncFormatter
+
+    class Locator(AutoLocator):
+        """Round values of the unit."""
+
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            return np.asarray(super().tick_values(vmin * per_cycle, vmax * per_cycle)) / per_cycle
+
+    for axes in figure.axes if unit != "cy/px" else ():
+        for axis in (axes.xaxis, axes.yaxis):
+            words = axis.label.get_text()
+            shown = re.sub(r"\((cycles per column pitch|cy/px)\)", f"({unit_title(unit)})", words)
+            if shown != words:
+                axis.set_label_text(shown)
+                axis.set_major_locator(Locator())
+                axis.set_major_formatter(FuncFormatter(lambda at, _: f"{at * per_cycle:.4g}"))
 
 
 def kind_of(name: str, data: Data) -> str:

@@ -16,6 +16,12 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "cy/arcmin": ("pitch_um", "focal_length_mm"),
 }
 ANGLES = ("cy/mrad", "cy/arcmin")
+PICTURE_HEIGHTS = ("tvl/ph", "lw/ph")
+
+
+def unit_title(unit: str) -> str:
+    """Return the words of a unit on a page."""
+    return "lp/mm at cathode" if unit == "lp/mm-cathode" else unit
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,10 @@ from charact.comparison import Specification
 from charact.reporting.emva_sheet import emva_summary, emva_xml
 from charact.reporting.exports import as_json, table_of_files
 from charact.reporting.figure_registry import Figure
-from charact.reporting.frequency_unit import FrequencyUnit
+from charact.reporting.frequency_unit import NEEDS, PICTURE_HEIGHTS, FrequencyUnit, unit_title
 from charact.reporting.summary import setting_of
 from charact.verdict.purpose import MARKS, Purpose, is_tube, leading_of, purpose_of
-from labdata import Measurement, Result, Session, has_tube
+from labdata import BadInput, Measurement, Result, Session, has_tube
 from labdata.number_format import (
     plus_minus,
     plus_minus_of,
@@ -153,11 +153,14 @@ def _short_title(m: Measurement, count: int) -> str:
 
 
 def unit_of(session: Session) -> FrequencyUnit:
-    """Return the unit of frequencies on the page: that of the cathode, or cycles per pixel."""
-    camera = session.camera
-    if has_tube(camera):
-        return FrequencyUnit.of(camera, unit="lp/mm-cathode")
-    return FrequencyUnit(unit="cy/px")
+    """Return the unit of frequencies on the page: as stated, else that of the cathode, or cycles
+    per pixel.
+    """
+    unit = session.about.units or ("lp/mm-cathode" if has_tube(session.camera) else "cy/px")
+    if unit in NEEDS and session.camera is None:
+        raise BadInput(f"`units` {unit} needs a sensor description: sensor in session.toml")
+    rows = session.stacks[0].read().shape[1] if unit in PICTURE_HEIGHTS else None
+    return FrequencyUnit.of(session.camera, unit=unit, rows=rows)
 
 
 def _value(m: Measurement, unit: FrequencyUnit) -> str:
@@ -165,7 +168,7 @@ def _value(m: Measurement, unit: FrequencyUnit) -> str:
     if m.unit != "cy/px":
         return plus_minus(m) + ("" if m.unit == "1" else f" {m.unit}")
     value, name = unit(m.value, m)
-    name = "lp/mm at cathode" if name == "lp/mm-cathode" else name
+    name = unit_title(name)
     if m.interval95 is None:
         return f"{round_to_spread(value)} {name}"
     low, high = (unit(end, m)[0] for end in m.interval95)

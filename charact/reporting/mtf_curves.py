@@ -7,6 +7,7 @@ import numpy as np
 
 from charact.reporting.curves import half_line
 from charact.reporting.figure_svg import as_svg
+from charact.reporting.frequency_unit import unit_title
 from charact.reporting.style import (
     COLOURS,
     INK,
@@ -190,7 +191,7 @@ def _plot_curves(
         ylim=(-0.05, 1.15),
         title=f"{way[:1].upper()}{way[1:]}; bands hold 95 %",
     )
-    axes.set(xlabel=f"spatial frequency ({unit})", ylabel="MTF (1)")
+    axes.set(xlabel=f"spatial frequency ({unit_title(unit)})", ylabel="MTF (1)")
     axes.legend(loc="upper right")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.frames.clipping import is_clipped
 from labdata import Conditions, Measurement, Session, StackEntry, has_tube
 
 COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
@@ -93,12 +94,12 @@ def image_of(
 def representative(
     session: Session, measurements: Sequence[Measurement], layout: Mapping[str, Any] | None = None
 ) -> tuple[ReportImage, ...]:
-    """Return the central frame of the brightest stack of each kind; `layout`: parts of the chip,
+    """Return the central frame of an informative stack of each kind; `layout`: parts of the chip,
     shown on darks and flats.
     """
     kinds = dict.fromkeys(entry.kind for entry in session.stacks)
     chosen = [
-        _brightest_stack([entry for entry in session.stacks if entry.kind == kind])
+        _informative_stack([entry for entry in session.stacks if entry.kind == kind])
         for kind in kinds
     ]
     parts = _boxes_of_parts(layout) if layout is not None else ()
@@ -118,15 +119,33 @@ def _boxes_of_parts(layout: Mapping[str, Any]) -> tuple[Box, ...]:
     )
 
 
-def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:
-    """Return the first stack with the most light by its conditions, else by the mean of its
+def _informative_stack(entries: Sequence[StackEntry]) -> StackEntry:
+    """Return the first stack with the most light, of flats the first that is not saturated."""
+    by_light = _by_light(entries)
+    if entries[0].kind != "flat":
+        return by_light[0]
+    return next((entry for entry in by_light if not _is_saturated(entry)), by_light[0])
+
+
+def _is_saturated(entry: StackEntry) -> bool:
+    """Return whether the central frame of a stack is clipped."""
+    stack = entry.read()
+    middle = len(stack) // 2
+    return is_clipped(stack.data[middle : middle + 1], stack.full_scale_dn)
+
+
+def _by_light(entries: Sequence[StackEntry]) -> list[StackEntry]:
+    """Return stacks from the brightest on, by their conditions, else by the mean of their
     frames.
     """
     for light in (lambda conditions: conditions.photons_per_px, _lux_s):
         stated = [light(entry.conditions) for entry in entries]
         if all(amount is not None for amount in stated):
-            return entries[int(np.argmax(np.array(stated, float)))]
-    return max(entries, key=lambda entry: entry.read().mean_dn) if len(entries) > 1 else entries[0]
+            order = np.argsort(-np.array(stated, float), kind="stable")
+            return [entries[index] for index in order]
+    if len(entries) == 1:
+        return list(entries)
+    return sorted(entries, key=lambda entry: -entry.read().mean_dn)
 
 
 def _lux_s(conditions: Conditions) -> float | None:

@@ -1,5 +1,7 @@
 """The report page: one HTML file without network requests, also as PDF."""
 
+import base64
+import mimetypes
 import re
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +17,7 @@ from charact.reporting.report_images import aspect_of, representative
 from charact.reporting.style import PAPER_INK, report_style
 from charact.reporting.truth import Truth, compare_with_truth
 from labdata import FLAGS, BadInput, Posterior, Result, Session, has_tube, write_atomically
+from labdata.file_io import require_regular
 from labdata.limits import OVERRIDDEN
 
 if TYPE_CHECKING:
@@ -83,14 +86,17 @@ def page(
             from charact.reporting.validation import validation_section
 
             section = validation_section(validation, aspect_of(session))
+        frequency = front_page.unit_of(session)
         figures = [
-            figure_registry.figure_of(name, data)
+            figure_registry.figure_of(name, data, frequency)
             for name, data in add_extent_data(session, result).items()
             if name not in ("layout", *SHEET_ALONE)  # drawn on the pictures, and on the sheet
         ]
-        mtf_figures = mtf_svgs(session, result, truth, front_page.unit_of(session))
+        mtf_figures = mtf_svgs(session, result, truth, frequency)
     return template_of("report.html.j2").render(
         session=session,
+        logo=logo_of(session),
+        bases=tables.bases(front_page.leading(session, result)),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdicts=tables.verdicts(result),
         **front_page.context(session, result, figures, validation, purpose),
@@ -116,6 +122,18 @@ def page(
         provenance=tables.provenance(result.measurements),
         charted=tables.chart_rows(result),
     )
+
+
+def logo_of(session: Session) -> str:
+    """Return the logo of a session's report as a data URI, "" without one."""
+    if session.about.logo is None:
+        return ""
+    path = session.folder / session.about.logo
+    kind = mimetypes.guess_type(path.name)[0] or ""
+    if not kind.startswith("image/"):
+        raise BadInput(f"`logo` must be a picture (.png, .jpg, .svg), got {path.name!r}")
+    require_regular(path, "`logo`")
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
 def fragment(result: Result) -> str:

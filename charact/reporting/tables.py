@@ -56,6 +56,18 @@ def places(m: Measurement) -> dict[str, str]:
     return texts
 
 
+def bases(measurements: Iterable[Measurement]) -> list[tuple[str, str]]:
+    """Return the title of each measurement with its method, stack, region and seed."""
+    seeds = [(m, None if m.provenance is None else m.provenance.seed) for m in measurements]
+    return [
+        (
+            f"{quantity_title(m).partition(':')[0]} ({m.unit})".replace(" (1)", ""),
+            ", ".join((m.method, *places(m).values(), *([] if seed is None else [f"seed {seed}"]))),
+        )
+        for m, seed in seeds
+    ]
+
+
 def quantity_groups(result: Result) -> tuple[dict[str, Any], ...]:
     """Return all measurements by stack and method in the order of the vocabulary; a series of
     stacks is one group.

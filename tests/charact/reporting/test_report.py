@@ -4,7 +4,10 @@ the network.
 
 import re
 import sys
+from base64 import b64encode
+from dataclasses import replace
 from html import unescape
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -22,6 +25,9 @@ from charact.reporting import (
     varying,
     write,
 )
+from charact.reporting.frequency_unit import FrequencyUnit
+from charact.reporting.session_page import write_pdf
+from charact.reporting.tables import bases
 from labdata import (
     FLAGS,
     QUANTITIES,
@@ -33,6 +39,8 @@ from labdata import (
     make_measurement,
     measurement_from_sd,
 )
+from labdata.measurement import Provenance
+from labdata.session import About
 from tests.truth.sessions import session_in_memory, stack_in_memory
 
 
@@ -148,6 +156,82 @@ def test_a_pdf_without_its_library_ends_in_one_sentence_with_the_install_command
         write(made.session(), Result(), tmp_path / "r.html", pdf=True)
 
 
+def test_paper_has_a_figure_a_page_and_the_pictures_of_both_places(tmp_path, monkeypatch):
+    weasyprint = pytest.importorskip("weasyprint")
+    figure = '<figure><svg viewBox="0 0 56 38"><path d="M0 0L9 9"/></svg></figure>'
+    picture = '<figure><svg class="picture" viewBox="0 0 9 9">{}</svg></figure>'
+    html = (
+        f"<style>{(files('charact.reporting') / 'templates/style.css').read_text()}</style><main>"
+        + picture.format('<image id="frame-1" href="data:image/png;base64,AA" width="9"/>')
+        + picture.format('<use href="#frame-1"/>')
+        + '<details class="chapter drawn"><summary>MTF</summary><div id="mtf"></div>'
+        + f'<div class="figures">{3 * figure}</div></details></main>'
+    )
+    printed = []
+
+    class Html(weasyprint.HTML):
+        def write_pdf(self, target: str) -> None:
+            printed.append(self.render())
+
+    monkeypatch.setattr(
+        "weasyprint.HTML", lambda string: printed.append(string) or Html(string=string)
+    )
+    write_pdf(html, tmp_path / "r.pdf")
+    text, document = printed
+    assert text.count("<image") == 2 and "<use" not in text
+    assert [page.width > page.height for page in document.pages] == [False, True, True, True]
+
+
+def test_the_head_states_what_session_or_options_do(made, tmp_path):
+    logo = tmp_path / "logo.png"
+    logo.write_bytes(b"a logo")
+    about = About(serial_number="SN <7>", operator="R. Ito", logo=str(logo))
+    head = page(replace(made.session(), about=about), Result()).partition("<nav>")[0]
+    assert "SN &lt;7&gt;" in head and "R. Ito" in head and b64encode(b"a logo").decode() in head
+    plain = page(made.session(), Result()).partition("<nav>")[0]
+    assert "Serial number" not in plain and "Remarks" not in plain and "<img" not in plain
+    for name, rule in (("logo.txt", "must be a picture"), ("none.png", "must exist")):
+        wrong = replace(made.session(), about=About(logo=str(tmp_path / name)))
+        with pytest.raises(BadInput, match=rule):
+            page(wrong, Result())
+
+
+def test_a_leading_value_states_method_stack_region_and_seed():
+    m = measurement_from_sd(
+        "mtf50",
+        "cy/px",
+        0.2,
+        0.01,
+        method="edge-free",
+        stack="edge-3",
+        region=(10, 20, 30, 40),
+        provenance=Provenance(version="1", seed=7),
+    )
+    ((title, basis),) = bases((m,))
+    assert (title, basis) == (
+        "MTF50 (cy/px)",
+        "edge-free, edge-3, rows 10–39, cols 20–59, seed 7",
+    )
+
+
+def test_spatial_frequencies_of_a_figure_are_in_the_unit_of_the_page():
+    data = {
+        "curve_cy_per_px": [0.0, 0.25, 0.5],
+        "curve": [1.0, 0.5, 0.1],
+        "curve_low95": [1.0, 0.4, 0.0],
+        "curve_high95": [1.0, 0.6, 0.2],
+        "frequency_cy_per_px": [0.1],
+        "mtf": [0.8],
+        "sd": [0.01],
+    }
+    svg = figure_of("bar-groups", data, FrequencyUnit(unit="lp/mm", pitch_x_um=8.0)).svg or ""
+    pattern = r'<text x="([\d.]+)"[^>]*text-anchor="middle">([^<]+)<'
+    at = {words: float(x) for x, words in re.findall(pattern, svg)}
+    # The label stands below the middle of the axis, 0.25 cycles per pixel of 8 µm: 31.25 lp/mm.
+    middle = at["frequency (lp/mm)"]
+    assert (at["50"] - middle) / (middle - at["0"]) == pytest.approx(18.75 / 31.25, abs=0.005)
+
+
 def test_the_picture_of_a_small_target_is_cut_around_it():
     mean = np.full((120, 160), 10.0)
     mean[50:60, 70:85] = 100.0
@@ -201,6 +285,22 @@ def test_the_picture_of_a_kind_is_of_its_most_exposed_stack():
     )
     assert chosen((1.0, lit), (2.0, Conditions(exposure_s=0.01))) == "1 (flat)"
     assert chosen((2.0, Conditions()), (1.0, Conditions())) == "0 (flat)"
+
+
+def test_the_picture_of_flats_is_not_of_a_saturated_one():
+    rng = np.random.default_rng(1)
+    data = [
+        np.minimum(rng.poisson(level, (3, 32, 40)), 255).astype(np.uint8)
+        for level in (90, 140, 900)
+    ]
+    flats = [
+        stack_in_memory("flat", FrameStack(data=frames, full_scale_dn=255.0), label=f"flat-{n}")
+        for n, frames in enumerate(data)
+    ]
+    (picture,) = representative(session_in_memory(flats), ())
+    assert picture.title == "flat-1 (flat)"
+    (picture,) = representative(session_in_memory(flats[2:]), ())
+    assert picture.title == "flat-2 (flat)"
 
 
 def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
