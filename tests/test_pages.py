@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import scipy.special
 import tifffile
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from charact.cli.application import app
@@ -46,6 +47,54 @@ def test_the_steps_of_the_tutorial_run_as_printed(tmp_path, monkeypatch):
         assert done.exit_code == 0, f"{command}: {done.output}"
     assert (tmp_path / "stages" / "stages.png").stat().st_size > 0
     assert (tmp_path / "night" / "radiance.png").stat().st_size > 0
+
+
+def _commands_of(text: str) -> list[str]:
+    """Arguments of every command of a text, in a line of its own or within a sentence."""
+    lines = re.findall(r"^ {4}charact (.*)$", text, re.MULTILINE)
+    inline = re.findall(r"`charact ([^`]+)`", re.sub(r"^ {4}.*$", "", text, flags=re.MULTILINE))
+    return [command.partition("  #")[0].strip() for command in (*lines, *inline)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_verbs_and_options_of_a_page_exist(page):
+    for arguments in _commands_of(page.read_text()):
+        verb, words = get_command(app), shlex.split(arguments)
+        if arguments == "VERB --help":  # stands for each
+            continue
+        while hasattr(verb, "commands") and words:
+            if words[0] in verb.commands:
+                verb = verb.commands[words.pop(0)]
+            elif "pictures" in verb.commands:  # `fuse` without a name fuses pictures
+                verb = verb.commands["pictures"]
+            else:
+                assert words[0].startswith("-"), arguments
+                break
+        context = verb.make_context(verb.name, [], resilient_parsing=True)
+        context.resilient_parsing = False
+        verb.make_parser(context).parse_args(words)
+
+
+def test_the_page_of_an_ordinary_camera_leads_to_its_report(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "how-to" / "camera.md").read_text()
+    folder = tmp_path / "my-camera"
+    folder.mkdir()
+    (manifest,) = re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    (folder / "session.toml").write_text(manifest)
+    rng = np.random.default_rng(3)
+    for stack in tomllib.loads(manifest)["stack"]:
+        electrons = 0.5 * stack.get("photons_per_px", 0.0) * np.ones((8, 96, 96))
+        if stack["kind"] == "edge":
+            electrons = np.repeat(_slanted_edge()[None].astype(float), 8, axis=0)
+        frames = 64.0 + 0.5 * (rng.poisson(electrons) + 5.0 * rng.standard_normal(electrons.shape))
+        np.save(folder / stack["frames"], np.rint(frames).astype(np.uint16))
+    for command in re.findall(r"^    charact (.*)$", text, re.MULTILINE):
+        done = CliRunner().invoke(app, shlex.split(command))
+        assert done.exit_code == 0, f"{command}: {done.output}"
+    html = (folder / "report.html").read_text()
+    assert "EMVA 1288 data sheet" in html and "A. Miller" in html
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.parametrize(
