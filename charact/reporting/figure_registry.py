@@ -299,6 +299,19 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any], str]] = {
 }
 
 
+# Titles of data whose names do not read as words.
+TITLES = {
+    "bloom-constancy": "stability of the point series",
+    "bloom-forms": "forms of spread compared",
+    "halo-constancy": "halo diameter of each stack",
+    "joint-mtf": "targets against their joint MTF",
+    "lit-edge": "halo of an edge",
+    "post-gain-noise": "noise added after the gain",
+    "snr-light": "signal-to-noise ratio against light",
+    "three-dimensional-noise": "3-D noise",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Figure:
     """One figure of the page: its section, title and caption, and the SVG or the reason why there
@@ -321,6 +334,8 @@ def figure_of(name: str, data: Data, frequency: Frequency = in_cycles_per_pixel)
     section, draw, caption = FIGURES.get(kind, ("other", None, ""))
     caption = f"{caption} {data['the_curves_say']}." if "the_curves_say" in data else caption
     title, svg, why = figure_title(name, kind), None, f"no figure of the kind {kind!r}"
+    if kind == "bloom-series" and len(data.get("label", ())) < 2:
+        draw, why = None, "extent against exposure needs point sources of two exposures or more"
     if draw is not None:
         try:
             with report_style():
@@ -366,5 +381,5 @@ def kind_of(name: str, data: Data) -> str:
 def figure_title(name: str, kind: str) -> str:
     """Return the title of a figure: name of the data and, after the colon, its stack."""
     what, _, label = name.partition(":")
-    text = (what or kind or "figure").replace("-", " ").replace("_", " ")
+    text = TITLES.get(what, (what or kind or "figure").replace("-", " ").replace("_", " "))
     return f"{text}, {label}" if label else text

@@ -45,6 +45,8 @@ TUBE_SHEET = (
 )
 CAMERA_SHEET = (
     "mtf50",
+    "sitf",
+    "netd",
     "quantum_efficiency",
     "system_gain",
     "read_noise",
@@ -60,7 +62,7 @@ CAMERA_SHEET = (
 )
 # Figures of the first page, the first kind that was made of each row.
 FIGURES = (
-    ("noise-against-gain", "photon-transfer", "noise-by-gain", "snr-light"),
+    ("noise-against-gain", "photon-transfer", "signal-transfer", "noise-by-gain", "snr-light"),
     ("bloom-series", "lit-edge", "point-profile", "edge-spread", "bars"),
 )
 PurposeOf = Purpose | Specification
@@ -248,6 +250,13 @@ def _data_uri(kind: str, text: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(text.encode()).decode('ascii')}"
 
 
+def _sheet_of(session: Session, result: Result) -> str:
+    """Return whose data sheet the first page holds."""
+    if is_tube(session, result):
+        return "Image intensifier"
+    return "Infrared camera" if any(m.value for m in result.find("sitf")) else "EMVA 1288"
+
+
 def context(
     session: Session,
     result: Result,
@@ -260,9 +269,7 @@ def context(
     return {
         "verdict": verdict(session, result, validation, purpose),
         "sheet": rows,
-        "sheet_title": "Image intensifier data sheet"
-        if is_tube(session, result)
-        else "EMVA 1288 data sheet",
+        "sheet_title": f"{_sheet_of(session, result)} data sheet",
         "to_standard": any(row.departure for row in rows),
         "leading_figures": leading_figures(figures),
         "downloads": downloads(session, result),
