@@ -158,7 +158,7 @@ def test_the_page_shows_pictures_statistics_and_controls(made):
         "16 posterior draws, seed 7",
         "must pass",
         "must be noticed",
-        "What this validation could not have seen",
+        "Errors that this validation could not have detected",
         "12 %, fixed-pattern",
         "none below 100 %",
         "frequency (cy/px)",
