@@ -133,6 +133,9 @@ def report(
     operator: Annotated[
         str | None, Setting("Operator in the head (default: from the session).")
     ] = None,
+    date: Annotated[
+        str | None, Setting("Date of the frames in the head (default: from the session).")
+    ] = None,
     remarks: Annotated[
         str | None, Setting("Remarks in the head (default: from the session).")
     ] = None,
@@ -175,6 +178,7 @@ def report(
     stated = {
         "serial_number": serial_number,
         "operator": operator,
+        "date": date,
         "remarks": remarks,
         "units": units,
         "logo": None if logo is None else str(Path(logo).absolute()),
