@@ -3,6 +3,7 @@ printed error, by the level of the brightest flat.
 
 `make study NAME=power-injection` measures it and rewrites the table. A flat above
 `VALIDATION.highest_share` of full scale takes no part in a validation: the two dimmer ones do.
+Cameras other than the small machine-vision one have the light of `LIGHT`, and are printed alone.
 """
 
 import argparse
@@ -33,16 +34,20 @@ def bench_at(place: float, seed: int) -> BenchSets:
     return BenchSets("machine-vision", seed=seed, shape=SHAPE, lights=lights)
 
 
-def inject(place: float, seed: int, tries: int) -> list[dict[str, Any]]:
+def inject(
+    bench: BenchSets, place: float, tries: int, titles: tuple[str, ...] = ()
+) -> list[dict[str, Any]]:
     """Return, by parameter, the printed error and how many of the sets off by it, half of them
-    upwards, are noticed.
+    upwards, are noticed, of errors of 1 and more all; `titles`: of these parameters, none: of all.
     """
-    bench = bench_at(place, seed)
+    seed = bench.seed
     sets = [bench.numbers(bench.frames(number)) for number in range(VALIDATION.draws)]
     changes = bench.changes()
     test, rows = ValidationTest(sets, seed=seed, changes=changes), []
     for index, (control, change) in enumerate(zip(bench.controls, changes, strict=True)):
-        error = detectable_error(test, change, partial(bench.change_of, control))
+        if titles and change.title not in titles:
+            continue
+        error = detectable_error(test, change, partial(bench.change_of, control, number=1))
         row = {
             "place": place,
             "seed": seed,
@@ -53,11 +58,14 @@ def inject(place: float, seed: int, tries: int) -> list[dict[str, Any]]:
         }
         if error.statistic:
             first = WRONG * (index + 1)
-            row["noticed"] = sum(
-                _is_noticed(bench, test, first + number, control, sign * error.relative_error)
-                for number in range(tries // 2)
-                for sign in (1.0, -1.0)
+            row["upwards"], row["downwards"] = (
+                sum(
+                    _is_noticed(bench, test, first + number, control, sign * error.relative_error)
+                    for number in range(tries // 2)
+                )
+                for sign in (1.0, -1.0 if error.relative_error < 1.0 else 1.0)
             )
+            row["noticed"] = row["upwards"] + row["downwards"]
             row["tries"] = tries // 2 * 2
         rows.append(row)
         print(row, flush=True)
@@ -95,14 +103,22 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--places", type=float, nargs="+", default=list(PLACES))
     parser.add_argument("--tries", type=int, default=16)
+    parser.add_argument("--cameras", nargs="+", default=[])
+    parser.add_argument("--parameters", nargs="+", default=[])
     asked = parser.parse_args()
+    benches = [
+        (BenchSets(name, seed=seed, shape=SHAPE), 0.0)
+        for seed in asked.seeds
+        for name in asked.cameras
+    ] or [(bench_at(place, seed), place) for seed in asked.seeds for place in asked.places]
     rows = [
         row
-        for seed in asked.seeds
-        for place in asked.places
-        for row in inject(place, seed, asked.tries)
+        for bench, place in benches
+        for row in inject(bench, place, asked.tries, tuple(asked.parameters))
     ]
     print(summary(rows))
+    if asked.cameras or asked.parameters:
+        return
     TABLE.write_text(json.dumps(rows, indent=1).replace("NaN", "null") + "\n")
 
 

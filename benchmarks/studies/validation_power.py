@@ -67,7 +67,7 @@ class PowerStudy:
     def detectable(self, test: ValidationTest, change: ParameterChange) -> DetectableError:
         """Return the error of a parameter that is printed."""
         control = next(one for one in PARAMETERS if one.title == change.title)
-        return detectable_error(test, change, partial(self.bench.change_of, control))
+        return detectable_error(test, change, partial(self.bench.change_of, control, number=1))
 
 
 def chart(study: PowerStudy) -> list[dict[str, Any]]:

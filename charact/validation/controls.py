@@ -121,14 +121,16 @@ def detectable_error(
 ) -> DetectableError:
     """Return the error of a parameter that is found, by numbers of about that error.
 
-    `change_by` returns the change of the numbers by a relative change of the parameter. A first
-    estimate is linear over `control_change`, of which errors of blur may be a third; smaller
-    changes than `least_change` would show the noise of the frames.
+    `change_by` returns the change of the numbers of another set by a relative change of the
+    parameter: estimates of parameters follow the random numbers of the set whose change gave them
+    their weights, by a third for a dark current behind a tube. A first estimate is linear over
+    `control_change`, of which errors of blur may be three times as large; a smaller change would
+    show the noise of the frames.
     """
     error = test.detectable(change).relative_error
     if np.isnan(error):
         error = 1.0
-    nearer = float(np.clip(error, VALIDATION.least_change, 1.0 - VALIDATION.least_change))
+    nearer = float(np.clip(error, VALIDATION.control_change, 1.0 - VALIDATION.least_change))
     return test.detectable(change_by(float(np.copysign(nearer, change.change))))
 
 

@@ -78,7 +78,8 @@ class Ensemble:
     def finds(self, noise: Array, shift: Array, level: float) -> NDArray[np.bool_]:
         """Return which sets have a p-value below a level, shape (set,).
 
-        `noise`: their deviations from the centre, shape (set, number), to which a shift is added.
+        `noise`: their deviations from the centre, shape (set, number), to which a shift is added,
+        shape (number,) or one for each set.
         """
         null = self._ranked_null
         # As many repetitions may deviate further where (1 + number) / (1 + all) is below the level.

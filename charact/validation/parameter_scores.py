@@ -49,7 +49,8 @@ class ParameterScores:
     def finds(self, noise: Array, shift: Array, level: float) -> NDArray[np.bool_]:
         """Return which sets have a p-value below a level, shape (set,).
 
-        `noise`: their deviations from the centre, shape (set, number), to which a shift is added.
+        `noise`: their deviations from the centre, shape (set, number), to which a shift is added,
+        shape (number,) or one for each set.
         By the covariance that gave the weights estimates scatter less than those of other sets do:
         they are given the scatter of those.
         """
@@ -57,7 +58,9 @@ class ParameterScores:
 
         limit = float(t.isf(level / (2.0 * len(self.titles)), self.degrees))
         estimates = noise @ self.weights.T
-        pulls = estimates / np.sqrt(np.mean(estimates**2, axis=0)) + self.weights @ shift / self.sd
+        pulls = (
+            estimates / np.sqrt(np.mean(estimates**2, axis=0)) + shift @ self.weights.T / self.sd
+        )
         return np.abs(pulls).max(axis=1) > limit
 
 

@@ -129,7 +129,7 @@ def validate(
         for title, groups in altered_groups.items()
     )
     controls = (*nulls, *negatives)
-    parts = features_of_parts(chosen, [(sets.base, sets.first)], context=bench.context)
+    parts = features_of_parts(chosen, [(sets.drawn[0][0], sets.first)], context=bench.context)
     statistics = _settled_statistics(bench, test, (measured, parts), known)
     changes_by = [
         (control, change, partial(_change_of, bench, sets, control))
@@ -157,7 +157,9 @@ def validate(
         statistics=statistics,
         controls=controls,
         power=tuple(
-            test.detectable(change) if quick else detectable_error(test, change, change_by)
+            test.detectable(change)
+            if quick
+            else detectable_error(test, change, partial(change_by, number=1))
             for _, change, change_by in changes_by
         ),
         causes=causes,
@@ -280,10 +282,9 @@ class _Bench:
 
 @dataclass(frozen=True, kw_only=True)
 class _SimulatedSets:
-    """Numbers and curves of the simulated sets; of the first set its camera, seed and frames."""
+    """Cameras, seeds, numbers and curves of the simulated sets, and frames of the first."""
 
-    base: Camera
-    base_seed: int
+    drawn: tuple[tuple[Camera, int], ...]
     first: Frames
     features: tuple[FrameFeatures, ...]
     halves: tuple[Mapping[str, Numbers], ...]
@@ -294,21 +295,20 @@ def _simulate_sets(bench: _Bench, levels: tuple[MatchedFrames, ...]) -> _Simulat
     """Simulate the ensemble, a posterior draw a set; of the levels of a point source only the
     curves are taken.
     """
-    base, base_seed = bench.draw_camera(), bench.draw_seed()
+    drawn = []
     pictured = tuple(replace(shot, frames=1) for shot in bench.chosen.display_only)
     first: Frames = {}
     features, halves, curves = [], [], []
     for index in range(VALIDATION.draws):
-        camera = bench.draw_camera() if index else base
-        seed = bench.draw_seed() if index else base_seed
+        camera, seed = bench.draw_camera(), bench.draw_seed()
+        drawn.append((camera, seed))
         frames = bench.simulate(camera, seed, levels if index else (*pictured, *levels))
         first = first or frames
         features.append(bench.features(frames))
         halves.append(bench.difference_of_halves(frames))
         curves.append(curves_of(frames, bench.chosen, levels))
     return _SimulatedSets(
-        base=base,
-        base_seed=base_seed,
+        drawn=tuple(drawn),
         first=first,
         features=tuple(features),
         halves=tuple(halves),
@@ -378,17 +378,22 @@ def _null_controls(
 
 
 def _change_of(
-    bench: _Bench, sets: _SimulatedSets, control: ParameterControl, change: float
+    bench: _Bench,
+    sets: _SimulatedSets,
+    control: ParameterControl,
+    change: float,
+    number: int = 0,
 ) -> ParameterChange:
-    """Return the change of the first set, its draw and seed, by that of a parameter."""
-    # The same random numbers: the difference has hardly any noise.
-    altered = change_parameter(sets.base, control, change)
+    """Return the change of a set of a number, its draw and seed, by that of a parameter."""
+    # The same random numbers: the difference has little noise.
+    drawn, seed = sets.drawn[number]
+    altered = change_parameter(drawn, control, change)
     assert altered is not None
     camera, change = altered
     return ParameterChange(
         title=control.title,
-        plain=sets.features[0].groups,
-        changed=bench.features(bench.simulate(camera, sets.base_seed)).groups,
+        plain=sets.features[number].groups,
+        changed=bench.features(bench.simulate(camera, seed)).groups,
         change=change,
         power=control.power,
         least_error=control.least_error(bench.sensor),

@@ -25,6 +25,8 @@ Groups = Mapping[str, Numbers]
 
 # Sets of numbers by which the power is known to .02.
 DRAWN_SETS = 400
+# Least relative change of a parameter: none is below 0.
+LARGEST_FALL = -0.98
 SCORES = "parameters"
 SCORES_TITLE = "Relative errors of parameters, each as if only it were wrong"
 SCORES_CAUSE = "the named parameter, or one that changes the frames alike"
@@ -56,9 +58,9 @@ class ParameterChange:
         return self.amount_of(self.change)
 
     @property
-    def largest(self) -> float:
-        """Largest amount looked for: of a relative error of 1, or of 2 of a noise."""
-        return self.amount_of(max(1.0, self.power))
+    def largest_error(self) -> float:
+        """Largest relative error looked for: 1, or 2 of a noise."""
+        return max(1.0, self.power)
 
     def amount_of(self, error: float) -> float:
         """Return the amount ((1 + e)^n - 1) / n of a relative error e, or ln(1 + e): e if small."""
@@ -196,23 +198,28 @@ class ValidationTest:
         Numbers are taken as linear in a power of the parameter. Sets with the error are drawn from
         the covariance of the simulated ones, with all correlations, and compared with the same
         ensembles: an error is found where one statistic fails at the level that applies if it alone
-        does. The statistic that fails most often is named.
+        does, half of them upwards and half downwards: the error of a noise changes a variance less
+        downwards. The statistic that fails most often is named.
 
         Draws of the camera vary all its parameters: an error below a third of the width of the
         parameter's own posterior shows only if the others are known. `least_error` says so.
         """
         level = VALIDATION.level / max(1, self._count)
         tests = list(self._shifts(change))
+        upwards = np.arange(DRAWN_SETS)[:, None] % 2 == 0
 
-        def finds(amount: float) -> NDArray[np.bool_]:
+        def finds(error: float) -> NDArray[np.bool_]:
+            down = change.amount_of(max(-error, LARGEST_FALL))
+            # No parameter falls by more than itself.
+            amounts = np.where(upwards | (error >= 1.0), change.amount_of(error), down)
             return np.array(
                 [
-                    test.finds(self._drawn_noise[:, columns], amount * shift, level)
+                    test.finds(self._drawn_noise[:, columns], amounts * shift, level)
                     for _, test, columns, shift in tests
                 ]
             )
 
-        low, high = 0.0, change.largest
+        low, high = 0.0, change.largest_error
         if not tests or finds(high).any(axis=0).mean() < VALIDATION.power:
             return DetectableError(
                 title=change.title,
@@ -226,7 +233,7 @@ class ValidationTest:
             low, high = (low, middle) if enough else (middle, high)
         return DetectableError(
             title=change.title,
-            relative_error=max(change.relative(high), change.least_error),
+            relative_error=max(high, change.least_error),
             probability=VALIDATION.power,
             statistic=tests[int(np.argmax(finds(high).mean(axis=1)))][0],
         )
@@ -317,7 +324,7 @@ class ValidationTest:
         )
         # One whose largest error moves no number by more than chance, as the sensitivity in light
         # of a free level, is not estimated.
-        known = scores.sd < [change.largest for change, _ in shifts]
+        known = scores.sd < [change.amount_of(change.largest_error) for change, _ in shifts]
         return scores.of(known) if known.any() else None
 
     def _score(self, scores: ParameterScores, numbers: Groups) -> dict:

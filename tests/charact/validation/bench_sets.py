@@ -4,7 +4,7 @@ without its files.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,24 +169,26 @@ class BenchSets:
         camera, change = altered
         return self.numbers(simulate_frames(camera, self.chosen.compared, seed=seed)), change
 
-    def change_of(self, control: ParameterControl, change: float) -> ParameterChange:
-        """Return the change of set 0 by that of a parameter that the camera has."""
-        altered = self.change(0, control, change)
+    def change_of(
+        self, control: ParameterControl, change: float, number: int = 0
+    ) -> ParameterChange:
+        """Return the change of a set by that of a parameter that the camera has."""
+        altered = self.change(number, control, change)
         assert altered is not None
         changed, change = altered
         return ParameterChange(
             title=control.title,
-            plain=self.first_numbers,
+            plain=self.numbers_of(number),
             changed=changed,
             change=change,
             power=control.power,
             least_error=control.least_error(self.sensor),
         )
 
-    @cached_property
-    def first_numbers(self) -> Mapping[str, Numbers]:
-        """Numbers of set 0."""
-        return self.numbers(self.frames(0))
+    @cache  # noqa: B019  # a bench lives as long as its test
+    def numbers_of(self, number: int) -> Mapping[str, Numbers]:
+        """Numbers of a set."""
+        return self.numbers(self.frames(number))
 
     @property
     def controls(self) -> tuple[ParameterControl, ...]:

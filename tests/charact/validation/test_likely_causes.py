@@ -91,7 +91,7 @@ def named_cause(seed: int) -> Callable[[str], LikelyCause]:
 
     def cause_of(defect: str) -> LikelyCause:
         frames = bench.put(further, next(one for one in DEFECTS if one.name == defect))
-        causes = CauseTest(test.ensembles, bench.first_numbers, bench.numbers(frames))
+        causes = CauseTest(test.ensembles, bench.numbers_of(0), bench.numbers(frames))
         return likely_causes(causes, alternatives)[0]
 
     return cause_of

@@ -108,13 +108,23 @@ def test_the_error_found_of_a_parameter_is_that_of_all_numbers_together(seed: in
     assert found.relative_error < alone.relative_error
     noise = test.detectable(_change(0.3, power=2))
     # The same shift by a change of 0.3 is one of 0.69 of the square, and of 0.26 of the logarithm.
-    assert (1.0 + noise.relative_error) ** 2 - 1.0 == pytest.approx(
-        found.relative_error * 0.69 / 0.3, rel=0.02
-    )
+    # Of both ways, as half of the errors are: ((1 + e)^2 - (1 - e)^2) / 2, and of the logarithm.
+    assert 2.0 * noise.relative_error == pytest.approx(found.relative_error * 0.69 / 0.3, rel=0.02)
     gain = test.detectable(_change(0.3, power=0))
-    assert np.log1p(gain.relative_error) == pytest.approx(
+    assert np.arctanh(gain.relative_error) == pytest.approx(
         found.relative_error * np.log(1.3) / 0.3, rel=0.02
     )
+
+
+def test_an_error_that_can_only_be_found_upwards_is_above_1(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    test = ValidationTest(_sets(rng), seed=seed, changes=[_change(0.3)])
+    # What a gain does by an error of 6 %, this noise does by an amount of 1.7: downwards it is 0.5
+    # at most.
+    amount = 1.7 / test.detectable(_change(0.3)).relative_error * 0.3
+    slow = replace(_change(0.3), power=2, change=np.sqrt(1.0 + 2.0 * amount) - 1.0)
+    error = test.detectable(slow).relative_error
+    assert (1.0 + error) ** 2 / 2.0 - 0.5 == pytest.approx(1.7, rel=0.05)
 
 
 def _correlated(rng: np.random.Generator, gain_error: float = 0.0) -> dict[str, Numbers]:
