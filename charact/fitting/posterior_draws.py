@@ -50,8 +50,12 @@ def draw_posterior(
         "slice": slice_rounds(log_probability, point, covariance, np.random.default_rng(seed)),
         "emcee": ensemble_rounds(log_probability, point, covariance, seed),
     }
+    # Where all steps are not believed, the first half may still be on its way from the mode.
     attempts: Iterator[tuple[Sampler, Array]] = (
-        (name, chains) for name, rounds in samplers.items() for chains in rounds
+        (name, later_steps)
+        for name, rounds in samplers.items()
+        for chains in rounds
+        for later_steps in (chains, chains[len(chains) // 2 :])
     )
     sampler: Sampler = "slice"
     for sampler, chains in attempts:  # noqa: B007  # the last one is that of the draws

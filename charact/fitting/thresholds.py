@@ -102,7 +102,7 @@ class Sampling:
     # Steps of rounds whose draws are forgotten, and of rounds after each of which chains are
     # judged.
     burn_in_steps: tuple[int, ...] = (5, 5, 10)
-    steps: tuple[int, ...] = (20, 20, 40, 80, 160)
+    steps: tuple[int, ...] = (20, 20, 40, 80, 160, 160)
     least_variance: float = 1e-8  # of a direction of the parameters, each over its own
     least_angle: float = 1e-6  # bracket of a step, rad, below which a chain stays
     # emcee's walkers and their steps likewise.
