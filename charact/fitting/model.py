@@ -13,7 +13,7 @@ from charact.fitting.observation import Observation, misfit_finding
 from charact.fitting.posterior_draws import draw_posterior
 from charact.fitting.prior import FACTORS, SensorPrior, prior_of, values_of_description
 from charact.fitting.thresholds import LIMITS, MODES, SAMPLING
-from charact.observables import Ridge, Values
+from charact.observables import GivenOthers, Ridge, Values
 from charact.verdict import Finding
 from labdata import Array, Camera, Posterior
 
@@ -67,6 +67,18 @@ class Model:
         return tuple((self.prior.names.index(ridge.carrier), ridge) for ridge in known)
 
     @cached_property
+    def conditionals(self) -> tuple[tuple[int, GivenOthers, Observation], ...]:
+        """Index among the coordinates of every parameter that is drawn given the others, and the
+        observation that shows it.
+        """
+        names = self.prior.names
+        return tuple(
+            (names.index(part.given_others.path), part.given_others, part)
+            for part in self.observed
+            if part.given_others is not None and part.given_others.path in names
+        )
+
+    @cached_property
     def is_carrier(self) -> NDArray[np.bool_]:
         """Which coordinates carry a ridge, shape (parameter,)."""
         return np.isin(np.arange(len(self.prior.names)), [carrier for carrier, _ in self.ridges])
@@ -76,15 +88,29 @@ class Model:
         """Which coordinates points hold as normal scores, shape (parameter,): those that have the
         form of their prior, and not logarithms of factors, whose products are straight ridges.
         """
-        return ~self.is_carrier & ~np.isin(self.prior.names, (*FACTORS, *self.determined))
+        conditional = (law.path for _, law, _ in self.conditionals)
+        unscored = (*FACTORS, *self.determined, *conditional)
+        return ~self.is_carrier & ~np.isin(self.prior.names, unscored)
+
+    @cached_property
+    def is_normal(self) -> NDArray[np.bool_]:
+        """Which coordinates points hold as normal scores, in the prior or given the others."""
+        indices = [index for index, *_ in self.conditionals]
+        return self.is_scored | np.isin(np.arange(len(self.prior.names)), indices)
 
     def bend(self, points: Array) -> Array:
-        """Return the coordinates of points (n, parameter), in which the posterior is nearly normal.
+        """Return the coordinates of points (n, parameter), see `bend_volume`."""
+        return self.bend_volume(points)[0]
+
+    def bend_volume(self, points: Array) -> tuple[Array, Array]:
+        """Return the coordinates of points (n, parameter), in which the posterior is nearly normal,
+        and ln of their volume over that of the points, shape (n,), up to a constant.
 
         Points hold normal scores in the prior of some coordinates, others reflected at their
         bounds, since of many at a bound hardly any proposal were inside, and straightened carriers:
         a carrier c of the number N = f(others) + a c stands for c + (f(others) - f(centre))/a, a
-        shear of unit determinant.
+        shear of unit determinant. Others are held as normal scores given all before them, see
+        `GivenOthers`.
         """
         centre, (low, high) = self.prior.centre[None], self.prior.bounds.T
         ends = np.clip(points, low, high)
@@ -97,7 +123,40 @@ class Model:
             clipped[:, carrier] = centre[0, carrier]
             number_change = ridge.number(self.values(clipped)) - ridge.number(self.values(centre))
             out[:, carrier] -= number_change / ridge.slope
-        return out
+        log_volume = np.zeros(len(points))
+        for index, law, observation in self.conditionals:
+            mean, sd = self._given_others(np.clip(out, low, high), index, law, observation)
+            out[:, index] = mean + sd * points[:, index]
+            log_volume += np.log(sd)
+        return out, log_volume
+
+    def _given_others(
+        self, coordinates: Array, index: int, law: GivenOthers, observation: Observation
+    ) -> tuple[Array, Array]:
+        """Return mean m and standard deviation s of a coordinate given the others, shape (n,).
+
+            f = f1 - J'r1/J'J,  s_f^2 = 1/J'J,  1/s^2 = 1/s0^2 + (f'/s_f)^2,
+            m = s^2 (c/s0^2 + (f'/s_f)^2 x(f))
+
+        r1, f1: residuals and function at the parameter 1; J: change of residuals with the function;
+        c, s0: centre and width of the prior; f': slope of the function by the coordinate x.
+        """
+        prior, (low, high) = self.prior, self.prior.bounds[index]
+        centre, width = prior.centre[index], prior.sd[index]
+        power, values = prior.power[index], self.values(coordinates)
+        ends = np.array([1.0, 2.0])
+        first, last = (observation.residuals({**values, law.path: end}) for end in ends[:, None])
+        start, stop = law.function(ends)
+        slope = (last - first) / (stop - start)
+        precision = np.maximum(np.sum(slope**2, axis=1), 1e-300)
+        number = start - np.sum(slope * first, axis=1) / precision
+        shown = law.inverse(number, precision**-0.5)
+        shown = np.clip(shown if power else np.log(shown), low, high)
+        sides = shown + MODES.difference * width * np.array([[-0.5], [0.5]])
+        rise = np.diff(law.function(sides if power else np.exp(sides)), axis=0)[0]
+        weight = precision * (rise / (MODES.difference * width)) ** 2
+        sd = (width**-2 + weight) ** -0.5
+        return sd**2 * (centre / width**2 + weight * shown), sd
 
     def residuals(self, coordinates: Array, of_prior: Array) -> Array:
         """Return whitened residuals of the data at coordinates (n, parameter), followed by those of
@@ -109,29 +168,30 @@ class Model:
             [np.broadcast_to(part, (len(of_prior), part.shape[1])) for part in parts], axis=1
         )
 
-    def residuals_of(self, points: Array) -> tuple[Array, Array]:
-        """Return residuals at points, shape (n, k), and the coordinates of these, shape (n,
-        parameter): the sum of their squares is minus twice the log-posterior.
+    def residuals_of(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return residuals at points, shape (n, k), and what `bend_volume` returns: minus half the
+        sum of their squares and ln of the volume are the log-posterior.
         """
-        coordinates = self.bend(points)
+        coordinates, log_volume = self.bend_volume(points)
         of_prior = np.where(self.is_scored, points, self.prior.residuals(coordinates))
-        return self.residuals(coordinates, of_prior), coordinates
+        return self.residuals(coordinates, of_prior), coordinates, log_volume
 
     def log_probability(self, points: Array) -> Array:
         """Return the log-posterior at points, not normalised, shape (n,); -inf outside bounds."""
-        residuals, coordinates = self.residuals_of(points)
+        residuals, coordinates, log_volume = self.residuals_of(points)
         (low, high), squares = self.prior.bounds.T, np.sum(residuals**2, axis=1)
         is_inside = np.all((coordinates >= low) & (coordinates <= high), axis=1)
-        return np.where(is_inside, -0.5 * squares, -np.inf)
+        return np.where(is_inside, log_volume - 0.5 * squares, -np.inf)
 
     @cached_property
     def slope(self) -> Slope:
         """Residuals as a function of points."""
-        is_free = (self.is_scored | self.is_carrier)[:, None]
+        is_free = (self.is_normal | self.is_carrier)[:, None]
         return Slope(
             residuals=lambda points: self.residuals_of(points)[0],
+            log_volume=lambda points: self.bend_volume(points)[1],
             bounds=np.where(is_free, [-np.inf, np.inf], self.prior.bounds),
-            width=np.where(self.is_scored, 1.0, self.prior.sd),
+            width=np.where(self.is_normal, 1.0, self.prior.sd),
         )
 
     @cached_property
@@ -141,8 +201,8 @@ class Model:
         """
         prior, rng = self.prior, np.random.default_rng(MODES.seed)
         scores = rng.standard_normal((MODES.starts, len(prior.names)))
-        drawn = np.where(self.is_scored, scores, prior.draw(rng, MODES.starts))
-        return self.slope.modes((np.where(self.is_scored, 0.0, prior.centre), *drawn))
+        drawn = np.where(self.is_normal, scores, prior.draw(rng, MODES.starts))
+        return self.slope.modes((np.where(self.is_normal, 0.0, prior.centre), *drawn))
 
     @property
     def mode_weights(self) -> Array:

@@ -20,7 +20,7 @@ from charact.estimators.noise.findings import (
 )
 from charact.fitting.prior import values_of_description
 from charact.fitting.stack_levels import SessionStacks
-from charact.observables import Observable, Ridge, Values, observables
+from charact.observables import GivenOthers, Observable, Ridge, Values, observables
 from charact.verdict import Finding
 from labdata import Array, Camera, Conditions, Measurement, Result
 
@@ -37,6 +37,7 @@ class Observation:
     parameters: tuple[str, ...]  # paths of the sensor parameters that it depends on
     # the product that it determines far better than any of its parameters
     ridge: Ridge | None = None
+    given_others: GivenOthers | None = None  # the parameter that it shows given the others
 
     def residuals(self, values: Values) -> Array:
         """Return predicted less measured numbers, whitened, shape (n, k)."""
@@ -85,6 +86,7 @@ def _observed(statistic: Observable[Any], stacks: SessionStacks) -> Iterator[Obs
             is_bound=statistic.is_bound,
             parameters=statistic.parameters(shown),
             ridge=statistic.ridge(shown),
+            given_others=statistic.given_others,
         )
         if not statistic.moved_by or _is_moved(observed, stacks.camera, statistic.moved_by):
             yield observed

@@ -14,6 +14,7 @@ from charact.observables.level import Level
 from charact.observables.observable import (
     Case,
     Estimates,
+    GivenOthers,
     MeasuredStack,
     Numbers,
     Observable,
@@ -40,6 +41,7 @@ __all__ = [
     "Dsnu",
     "Estimates",
     "FrameView",
+    "GivenOthers",
     "Histogram",
     "Interference",
     "Level",

@@ -101,6 +101,21 @@ class Ridge:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GivenOthers:
+    """Parameter that numbers show as far as other parameters allow: they are linear in a function
+    of it, by a slope that follows the others.
+
+    Where the slope is small the posterior has the width of the prior, elsewhere that of the data: a
+    funnel, which is even in units of the width given the others.
+    """
+
+    path: str  # of the parameter
+    function: Callable[[Array], Array]
+    # parameter at a value of the function and its standard deviation, also of a value beyond all
+    inverse: Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Case(Generic[Shown]):
     """Numbers of a statistic that are fitted together, and what their prediction needs."""
 
@@ -155,6 +170,8 @@ class Observable(Generic[Shown]):
     unless: tuple[str, ...] = ()
     # Paths of the parameters that the prediction depends on
     depends: tuple[str, ...] = ()
+    # The parameter that this statistic shows given the others
+    given_others: GivenOthers | None = None
     # Those of which one must move the prediction by a standard error over its prior range
     moved_by: tuple[str, ...] = ()
     # Errors by which no camera follows the prediction: relative, and absolute

@@ -17,6 +17,7 @@ from charact.observables.admissible import admissible_measurements
 from charact.observables.frame_view import FrameView, log
 from charact.observables.observable import (
     Estimates,
+    GivenOthers,
     MeasuredStack,
     Numbers,
     Observable,
@@ -194,6 +195,12 @@ class DarkNoise(Observable[Any]):
     )
     tube = False
     relative_model_sd = SILICON.noise_model_sd
+    # Of a variance below that of the dark charge, by chance, what an error of it allows.
+    given_others = GivenOthers(
+        path=READ_NOISE,
+        function=np.square,
+        inverse=lambda value, sd: np.sqrt(0.5 * (value + np.hypot(value, 2.0 * sd))),
+    )
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the darks whose rounding is additive."""

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from charact.observables.dark_spectrum import ReadoutSpectrum
 from charact.observables.observable import (
     Estimates,
+    GivenOthers,
     Observable,
     Stacks,
     Values,
@@ -102,6 +103,11 @@ class NeighbourCovariance(OfReadout):
     name = "covariance of neighbours in a row"
     order = 32
     depends = (FINE_RATIO, CONVERSION_GAIN, READ_NOISE)
+    given_others = GivenOthers(
+        path=FINE_RATIO,
+        function=lambda ratio: (1.0 - ratio) / (1.0 + ratio),
+        inverse=lambda value, sd: 2.0 / (1.0 + np.clip(value, -0.99, 0.99)) - 1.0,
+    )
 
     def measure(self, stacks: Stacks[StackLevel]) -> Estimates:
         """Return the covariance, DN^2."""

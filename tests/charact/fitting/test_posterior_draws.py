@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from charact.fitting import (
+    Model,
+    Observation,
     description_from_posterior,
     draw_posterior,
     fit_sensor,
@@ -18,6 +20,8 @@ from charact.fitting import (
 from charact.fitting.model import convergence_findings
 from charact.fitting.modes import Slope
 from charact.fitting.thresholds import SAMPLING
+from charact.observables import DarkNoise
+from charact.observables.readout import NeighbourCovariance
 from charact.session_measurement import measure
 from labdata import load_camera
 from tests.truth.specimens import CAMERAS, session_of
@@ -72,6 +76,71 @@ def test_bounds_of_a_prior_contain_the_range_of_the_description(name: str) -> No
     assert (prior.bounds[:, 0] <= low).all() and (high <= prior.bounds[:, 1]).all()
 
 
+def funnel_of(charge_e: float, ratio: float) -> Model:
+    """Return the model of darks of 2 e- of read noise and a dark charge, known to 1 %, and of the
+    covariance of their neighbours.
+    """
+    sheet, gain, exposure_s = load_camera("machine-vision"), 0.5, 0.02
+    names = ("ccd.read_noise_e", "readout.fine_noise_ratio", "ccd.dark_current_e_per_s")
+    laws = {
+        DarkNoise: lambda v: gain**2 * (v[names[0]] ** 2 + exposure_s * v[names[2]]),
+        NeighbourCovariance: lambda v: (
+            gain**2 * v[names[0]] ** 2 * (1.0 - v[names[1]]) / (1.0 + v[names[1]]) / 2.0
+        ),
+    }
+    truth = dict(zip(names, np.array([2.0, ratio, charge_e / exposure_s])[:, None], strict=True))
+    sd = 0.01 * laws[DarkNoise](truth)
+    observed = tuple(
+        Observation(
+            name=statistic.name,
+            value=law(truth),
+            covariance=np.diag(sd**2),
+            predict=lambda values, law=law: law(values)[:, None],
+            parameters=names,
+            given_others=statistic.given_others,
+        )
+        for statistic, law in laws.items()
+    )
+    return Model(sensor=sheet, prior=prior_of(sheet, names), observed=observed)
+
+
+@pytest.mark.parametrize(("charge_e", "ratio"), [(0.1, 1.8), (4.0, 1.3), (40.0, 0.6)])
+def test_a_funnel_is_drawn_as_wide_as_its_integral(
+    charge_e: float, ratio: float, seed: int
+) -> None:
+    """Noise hidden by dark charge shows no ratio; moments by sums over a grid."""
+    model = funnel_of(charge_e, ratio)
+    posterior = posterior_of(model, seed=seed)
+    assert posterior.flags == ()
+    prior, (noise, neighbours) = model.prior, model.observed
+    margin = 2.0 * posterior.draws.std(axis=0)
+    low, high = posterior.draws.min(axis=0) - margin, posterior.draws.max(axis=0) + margin
+    axes = np.linspace(*np.clip([low, high], *prior.bounds.T), 600)
+
+    def plane(part: Observation, index: int) -> np.ndarray:
+        """Return probability by a part and prior of a coordinate, over read noise and that one."""
+        grid = np.tile(prior.centre, (len(axes) ** 2, 1))
+        grid[:, 0], grid[:, index] = np.repeat(axes[:, 0], 600), np.tile(axes[:, index], 600)
+        squares = part.chi_squared(model.values(grid)) + prior.residuals(grid)[:, index] ** 2
+        return np.exp(-0.5 * squares).reshape(600, 600)
+
+    # Given the read noise, ratio and dark charge do not depend on each other.
+    by_ratio, by_charge = plane(neighbours, 1), plane(noise, 2)
+    by_noise = np.exp(-0.5 * prior.residuals(axes)[:, 0] ** 2)
+    ratios, charges = by_ratio.sum(axis=1) * by_noise, by_charge.sum(axis=1) * by_noise
+    marginals = np.stack([ratios * by_charge.sum(axis=1), charges @ by_ratio, ratios @ by_charge])
+    marginals = marginals.T / marginals.sum(axis=1)
+    mean = np.sum(marginals * axes, axis=0)
+    sd = np.sqrt(np.sum(marginals * (axes - mean) ** 2, axis=0))
+    count = len(posterior.draws)
+    pulls = (posterior.draws.mean(axis=0) - mean) / sd * np.sqrt(count)
+    assert np.abs(pulls).max() < 4.5
+    # Of the kurtosis k a variance has the relative error sqrt((k - 1)/n).
+    kurtosis = np.sum(marginals * ((axes - mean) / sd) ** 4, axis=0)
+    spread = posterior.draws.var(axis=0) / sd**2
+    assert (np.abs(spread - 1.0) < 4.5 * np.sqrt((kurtosis - 1.0) / count)).all()
+
+
 def two_modes(points: np.ndarray) -> np.ndarray:
     """Residuals with a mode at 2, of log-probability 0, and one near -2, of -2."""
     return np.hstack([(points**2 - 4.0) / 0.2, 0.5 * (points - 2.0)])
@@ -117,7 +186,7 @@ def test_of_chains_that_did_not_converge_nothing_is_fitted(
     told_of: Callable, seed: int, monkeypatch
 ) -> None:
     """Chains of few steps, of either sampler."""
-    few = replace(SAMPLING, steps=(2,), walkers_burn_in_steps=(4,), walkers_steps=(4,))
+    few = replace(SAMPLING, steps=(4,), walkers_burn_in_steps=(4,), walkers_steps=(4,))
     for module in (posterior_draws, slice_sampling):
         monkeypatch.setattr(module, "SAMPLING", few)
     model = told_of(seed).model
