@@ -99,18 +99,19 @@ class Model:
         return self.is_scored | np.isin(np.arange(len(self.prior.names)), indices)
 
     def bend(self, points: Array) -> Array:
-        """Return the coordinates of points (n, parameter), see `bend_volume`."""
-        return self.bend_volume(points)[0]
+        """Return the coordinates of points (n, parameter), see `bend_narrowed`."""
+        return self.bend_narrowed(points)[0]
 
-    def bend_volume(self, points: Array) -> tuple[Array, Array]:
+    def bend_narrowed(self, points: Array) -> tuple[Array, Array]:
         """Return the coordinates of points (n, parameter), in which the posterior is nearly normal,
-        and ln of their volume over that of the points, shape (n,), up to a constant.
+        and residuals, shape (n, k), minus half the sum of whose squares is ln of the volume of the
+        coordinates over that of the points.
 
         Points hold normal scores in the prior of some coordinates, others reflected at their
         bounds, since of many at a bound hardly any proposal were inside, and straightened carriers:
         a carrier c of the number N = f(others) + a c stands for c + (f(others) - f(centre))/a, a
         shear of unit determinant. Others are held as normal scores given all before them, see
-        `GivenOthers`.
+        `GivenOthers`: of the width s, s0 in the prior, the residual is sqrt(2 ln(s0/s)).
         """
         centre, (low, high) = self.prior.centre[None], self.prior.bounds.T
         ends = np.clip(points, low, high)
@@ -123,12 +124,12 @@ class Model:
             clipped[:, carrier] = centre[0, carrier]
             number_change = ridge.number(self.values(clipped)) - ridge.number(self.values(centre))
             out[:, carrier] -= number_change / ridge.slope
-        log_volume = np.zeros(len(points))
-        for index, law, observation in self.conditionals:
+        narrowed = np.zeros((len(points), len(self.conditionals)))
+        for column, (index, law, observation) in enumerate(self.conditionals):
             mean, sd = self._given_others(np.clip(out, low, high), index, law, observation)
             out[:, index] = mean + sd * points[:, index]
-            log_volume += np.log(sd)
-        return out, log_volume
+            narrowed[:, column] = np.sqrt(2.0 * np.log(np.maximum(self.prior.sd[index] / sd, 1.0)))
+        return out, narrowed
 
     def _given_others(
         self, coordinates: Array, index: int, law: GivenOthers, observation: Observation
@@ -168,20 +169,20 @@ class Model:
             [np.broadcast_to(part, (len(of_prior), part.shape[1])) for part in parts], axis=1
         )
 
-    def residuals_of(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return residuals at points, shape (n, k), and what `bend_volume` returns: minus half the
-        sum of their squares and ln of the volume are the log-posterior.
+    def residuals_of(self, points: Array) -> tuple[Array, Array]:
+        """Return residuals at points, shape (n, k), and the coordinates of these, shape (n,
+        parameter): the sum of their squares is minus twice the log-posterior.
         """
-        coordinates, log_volume = self.bend_volume(points)
+        coordinates, narrowed = self.bend_narrowed(points)
         of_prior = np.where(self.is_scored, points, self.prior.residuals(coordinates))
-        return self.residuals(coordinates, of_prior), coordinates, log_volume
+        return self.residuals(coordinates, np.hstack([of_prior, narrowed])), coordinates
 
     def log_probability(self, points: Array) -> Array:
         """Return the log-posterior at points, not normalised, shape (n,); -inf outside bounds."""
-        residuals, coordinates, log_volume = self.residuals_of(points)
+        residuals, coordinates = self.residuals_of(points)
         (low, high), squares = self.prior.bounds.T, np.sum(residuals**2, axis=1)
         is_inside = np.all((coordinates >= low) & (coordinates <= high), axis=1)
-        return np.where(is_inside, log_volume - 0.5 * squares, -np.inf)
+        return np.where(is_inside, -0.5 * squares, -np.inf)
 
     @cached_property
     def slope(self) -> Slope:
@@ -189,7 +190,6 @@ class Model:
         is_free = (self.is_normal | self.is_carrier)[:, None]
         return Slope(
             residuals=lambda points: self.residuals_of(points)[0],
-            log_volume=lambda points: self.bend_volume(points)[1],
             bounds=np.where(is_free, [-np.inf, np.inf], self.prior.bounds),
             width=np.where(self.is_normal, 1.0, self.prior.sd),
         )

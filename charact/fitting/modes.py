@@ -22,10 +22,6 @@ from labdata import Array
 Residuals = Callable[[Array], Array]
 
 
-def _same_volume(points: Array) -> Array:
-    return np.zeros(len(points))
-
-
 @dataclass(frozen=True, kw_only=True)
 class Mode:
     """A maximum of a posterior."""
@@ -51,8 +47,6 @@ class Slope:
     bounds: Array  # shape (parameter, 2); equal bounds hold a parameter
     # scale of each parameter, of which finite differences are a fraction, shape (parameter,)
     width: Array
-    # ln of the volume of a point, shape (n,), which the residuals leave out of the posterior
-    log_volume: Callable[[Array], Array] = _same_volume
 
     def at(self, point: Array) -> Linearisation:
         """Return the linear residuals at a point."""
@@ -78,7 +72,7 @@ class Slope:
             point=optimum.point,
             covariance=covariance,
             log_evidence=ln_evidence(
-                float(self.log_volume(optimum.point[None])[0]) - 0.5 * optimum.at.cost,
+                -0.5 * optimum.at.cost,
                 covariance,
                 optimum.point,
                 self.bounds,

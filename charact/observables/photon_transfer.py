@@ -182,6 +182,14 @@ class Linearity(Observable[Stacks[FrameView]]):
         return {"signal": relative("% of level"), "variance/signal": VARIANCE}
 
 
+def _read_noise(square: Array, sd: Array) -> Array:
+    """Return the root of the positive solution x of x - sd^2/x = square: of a variance below that
+    of the dark charge, by chance, what its error allows.
+    """
+    larger = 0.5 * (np.abs(square) + np.hypot(square, 2.0 * sd))
+    return np.sqrt(np.where(square > 0.0, larger, sd**2 / larger))
+
+
 @observable
 class DarkNoise(Observable[Any]):
     """Temporal variance of darks: read noise, dark charge and the quantisation step."""
@@ -195,12 +203,7 @@ class DarkNoise(Observable[Any]):
     )
     tube = False
     relative_model_sd = SILICON.noise_model_sd
-    # Of a variance below that of the dark charge, by chance, what an error of it allows.
-    given_others = GivenOthers(
-        path=READ_NOISE,
-        function=np.square,
-        inverse=lambda value, sd: np.sqrt(0.5 * (value + np.hypot(value, 2.0 * sd))),
-    )
+    given_others = GivenOthers(path=READ_NOISE, function=np.square, inverse=_read_noise)
 
     def usable(self, stacks: Stacks[StackLevel]) -> Stacks[StackLevel] | None:
         """Return the darks whose rounding is additive."""
