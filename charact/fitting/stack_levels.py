@@ -77,10 +77,28 @@ def levels_of(session: Session) -> tuple[StackLevel, ...]:
     """Return the means of the session's darks and flats within the linear range.
 
     Flats of unknown light are left out behind a tube; of a camera without one their noise is that
-    of their signal.
+    of their signal, and flats of full wells are left out, at whatever code they end.
     """
-    levels = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
-    return tuple(level for level in levels if level is not None)
+    entries = session.of_kind("dark", "flat")
+    levels = tuple(level for entry in entries if (level := _level(session, entry)) is not None)
+    if session.camera is None or session.camera.has_tube:
+        return levels
+    return tuple(level for level in levels if not _is_full(level, levels))
+
+
+def _is_full(level: StackLevel, levels: tuple[StackLevel, ...]) -> bool:
+    """Whether a level has far less noise than a dimmer one of the same amplification."""
+
+    def amplification(level: StackLevel) -> tuple[float | None, ...]:
+        return level.conditions.camera_gain_db, level.conditions.em_gain
+
+    return any(
+        dimmer.mean_dn < level.mean_dn
+        and amplification(dimmer) == amplification(level)
+        and level.variance_dn2 + LEVELS.full_sd * level.variance_sd_dn2
+        < LEVELS.full_variance * dimmer.variance_dn2
+        for dimmer in levels
+    )
 
 
 def note_on_exclusions(session: Session, levels: tuple[StackLevel, ...]) -> str | None:
@@ -97,8 +115,9 @@ def note_on_exclusions(session: Session, levels: tuple[StackLevel, ...]) -> str 
         return None
     return (
         f"Left out of levels and noise: {', '.join(labels)}; more than {LEVELS.most_clipped:.1%} "
-        "of the pixels clip at an end of the scale, or the level is above "
-        f"{LEVELS.highest_level:.0%} of it"
+        "of the pixels clip at an end of the scale, the level is above "
+        f"{LEVELS.highest_level:.0%} of it, or its variance is below {LEVELS.full_variance:.0%} of "
+        "that of a dimmer one, as of full wells: flats of less light show more"
     )
 
 

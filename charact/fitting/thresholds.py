@@ -246,6 +246,10 @@ class Levels:
     # in the linear range.
     most_clipped: float = 0.001
     highest_level: float = 0.85
+    # Variance over that of a dimmer flat, and standard errors, below which wells are full: that of
+    # a linear response rises, a gamma of 0.45 lowers it to 0.55 over a factor of 400 of light.
+    full_variance: float = 0.5
+    full_sd: float = 3.0
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,20 @@ def linear_session(charges_e: tuple[float, ...], well_e: float, seed: int) -> Se
     return session_in_memory(stacks, camera=load_camera("machine-vision"), bit_depth=BITS)
 
 
+@pytest.mark.parametrize(("well_e", "full"), [(3000.0, 2), (6500.0, 1), (1e6, 0)])
+def test_flats_of_full_wells_below_full_scale_are_left_out(
+    well_e: float, full: int, seed: int
+) -> None:
+    """Their level does not follow the light: the gain was a hundredth of the true one."""
+    session = linear_session((500.0, 1500.0, 2500.0, 5000.0, 8000.0), well_e, seed)
+    levels = levels_of(session)
+    assert len(levels) == 6 - full
+    fitted = fit_sensor(session, measure(session, quick=True), seed=seed)
+    gain = fitted.parameters()[GAIN]
+    assert gain.low < K_DN_PER_E < gain.high < 1.2 * K_DN_PER_E
+    assert any("of full wells" in note for note in fitted.notes) == bool(full)
+
+
 @pytest.mark.parametrize(
     ("brightest_e", "well_e"), [(6000.0, 9000.0), (9500.0, 14000.0), (12800.0, 30000.0)]
 )
@@ -85,6 +99,8 @@ def test_no_draw_holds_less_than_the_brightest_flat(
     flat_dn = float(np.quantile(session.stacks[-1].read().data, 0.99))
     bend = drawn["readout.compression_fraction"]
     signal_dn = drawn[WELL] * drawn[GAIN] / (1.0 - 2.1 * bend)
+    # A bent response does not turn back beyond its maximum.
+    signal_dn = np.minimum(signal_dn, (2**BITS - 1) / np.maximum(2.0 * bend, 1e-9))
     well_dn = drawn[BLACK] + signal_dn * (1.0 - bend * signal_dn / (2**BITS - 1))
     assert well_dn.min() > 0.999 * flat_dn
     well = fitted.parameters()[WELL]
