@@ -35,19 +35,10 @@ MISFIT_LEVEL = 0.01
 def split_r_hat(chain: Array) -> Array:
     """Return split R-hat of chains (step, chain, parameter): halves of each must agree, shape
     (parameter,).
-
-    Notes
-    -----
-    sqrt(((n - 1) W / n + V) / W), W the mean variance inside the half chains and V the variance of
-    their means.
     """
     half = len(chain) // 2
     halves = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
-    within_variance = halves.var(axis=0, ddof=1).mean(axis=0)
-    between_variance = halves.mean(axis=0).var(axis=0, ddof=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.sqrt((half - 1) / half + between_variance / within_variance)
-    return np.where(within_variance > 0, ratio, np.where(between_variance > 0, np.inf, 1.0))
+    return _r_hat(np.moveaxis(halves, 1, 0))
 
 
 def ensemble_r_hat(chains: Array) -> Array:
@@ -56,16 +47,19 @@ def ensemble_r_hat(chains: Array) -> Array:
     """
     half = chains.shape[1] // 2
     halves = np.concatenate([chains[:, :half], chains[:, half : 2 * half]])
-    pooled = halves.reshape(len(halves), -1, chains.shape[-1])
-    return split_r_hat_of_pooled(pooled)
+    return _r_hat(halves.reshape(len(halves), -1, chains.shape[-1]))
 
 
-def split_r_hat_of_pooled(pooled: Array) -> Array:
-    """Return R-hat of pooled half chains (half, draw, parameter)."""
-    within_variance = pooled.var(axis=1, ddof=1).mean(axis=0)
-    between_variance = pooled.mean(axis=1).var(axis=0, ddof=1)
+def _r_hat(halves: Array) -> Array:
+    """Return R-hat of half chains (half, draw, parameter), shape (parameter,).
+
+    sqrt(((n - 1) W / n + V) / W), W the mean variance inside the half chains of n draws and V the
+    variance of their means.
+    """
+    count, within_variance = halves.shape[1], halves.var(axis=1, ddof=1).mean(axis=0)
+    between_variance = halves.mean(axis=1).var(axis=0, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.sqrt(1.0 + between_variance / within_variance)
+        ratio = np.sqrt((count - 1) / count + between_variance / within_variance)
     return np.where(within_variance > 0, ratio, np.where(between_variance > 0, np.inf, 1.0))
 
 

@@ -51,14 +51,10 @@ def _halton() -> Array:
     """Return the sequence, shape (point, base): the digits of 1, 2, 3... in a base, mirrored at the
     point.
     """
-    out = np.zeros((LONGEST, len(BASES)))
-    for column, base in enumerate(BASES):
-        number, digit_value = np.arange(1, LONGEST + 1), 1.0
-        while number.any():
-            digit_value /= base
-            number, digit = np.divmod(number, base)
-            out[:, column] += digit_value * digit
-    return out
+    bases = np.array(BASES)[:, None]
+    places = np.arange(LONGEST.bit_length())
+    digits = np.arange(1, LONGEST + 1)[:, None, None] // bases**places % bases
+    return np.sum(digits / bases ** (places + 1.0), axis=2)
 
 
 Vectorised = Callable[[NDArray[np.float64]], NDArray[np.float64]]
