@@ -98,11 +98,7 @@ class Model:
         indices = [index for index, *_ in self.conditionals]
         return self.is_scored | np.isin(np.arange(len(self.prior.names)), indices)
 
-    def bend(self, points: Array) -> Array:
-        """Return the coordinates of points (n, parameter), see `bend_narrowed`."""
-        return self.bend_narrowed(points)[0]
-
-    def bend_narrowed(self, points: Array) -> tuple[Array, Array]:
+    def bend(self, points: Array) -> tuple[Array, Array]:
         """Return the coordinates of points (n, parameter), in which the posterior is nearly normal,
         and residuals, shape (n, k), minus half the sum of whose squares is ln of the volume of the
         coordinates over that of the points.
@@ -173,7 +169,7 @@ class Model:
         """Return residuals at points, shape (n, k), and the coordinates of these, shape (n,
         parameter): the sum of their squares is minus twice the log-posterior.
         """
-        coordinates, narrowed = self.bend_narrowed(points)
+        coordinates, narrowed = self.bend(points)
         of_prior = np.where(self.is_scored, points, self.prior.residuals(coordinates))
         return self.residuals(coordinates, np.hstack([of_prior, narrowed])), coordinates
 
@@ -213,7 +209,7 @@ class Model:
     @cached_property
     def best(self) -> Array:
         """Most probable coordinates, shape (parameter,)."""
-        start = np.clip(self.bend(self.modes[0].point[None])[0], *self.prior.bounds.T)
+        start = np.clip(self.bend(self.modes[0].point[None])[0][0], *self.prior.bounds.T)
         return most_probable(self, start, np.ones(start.size, bool))
 
 
@@ -301,7 +297,7 @@ def _draw_about(model: Model, mode: Mode, seed: int) -> Posterior:
         covariance=wide.slope.covariance(point),
         seed=seed,
     )
-    coordinates = np.clip(model.bend(posterior.draws), *prior.bounds.T)
+    coordinates = np.clip(model.bend(posterior.draws)[0], *prior.bounds.T)
     return replace(posterior, draws=coordinates)
 
 
@@ -323,7 +319,7 @@ def convergence_findings(model: Model, posterior: Posterior) -> Iterator[Finding
         )
     best = model.modes[0]
     for mode, weight in zip(model.modes[1:], model.mode_weights[1:], strict=True):
-        there, here = model.prior.parameters(model.bend(np.stack([mode.point, best.point])))
+        there, here = model.prior.parameters(model.bend(np.stack([mode.point, best.point]))[0])
         index = int(np.argmax(np.abs(mode.point - best.point) / np.sqrt(np.diag(best.covariance))))
         yield Finding(
             flag="several-modes",
