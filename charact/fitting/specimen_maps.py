@@ -191,7 +191,9 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     full_dn = float(2**fitted.video.bit_depth - 1)
     darks, flats = (frames_for_maps(session.of_kind(kind), full_dn) for kind in ("dark", "flat"))
     gap_frames = PATTERN.gap_frames if fitted.has_tube else 0
-    dark_levels, dark_parts = [], _Parts(with_pulses=fitted.has_tube)
+    # Those of a tube, or of single electrons that a register multiplies.
+    has_pulses = fitted.has_tube or fitted.multiplies
+    dark_levels, dark_parts = [], _Parts(with_pulses=has_pulses)
     lit = _Parts(gap_frames=gap_frames)
     for chosen, frames in _read(darks):
         mean_dn = frames.mean(axis=(1, 2), keepdims=True)
@@ -206,7 +208,7 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     variance = np.asarray(dark_parts.squares) / max(dark_parts.freedom, 1)
     noise_dn = float(np.sqrt(np.median(variance)))
     offset = dark_parts.map_of(0.0) if noise_dn > LIMITS.least_noise_dn else None
-    noisy = None if fitted.has_tube or offset is None else _noisy(dark_parts, variance)
+    noisy = None if has_pulses or offset is None else _noisy(dark_parts, variance)
     dark_dn = float(np.mean(dark_levels)) + (0.0 if offset is None else offset.mean)
     for chosen, frames in _read(flats):
         signal = frames - dark_dn
