@@ -45,7 +45,7 @@ class Points:
     """Points of the frequency plane along a direction, and the light that shows their MTF."""
 
     camera: Camera
-    frequency: Array  # shape (point,), cy per column pitch
+    frequency: Array  # shape (point,), cy/px as the method of the stack counts pixels
     angle_deg: float  # from the row direction
     entry: StackEntry | None
 
@@ -56,10 +56,14 @@ class Points:
         pitch_ratio = float(self.camera.ccd.pitch_y_um) / float(self.camera.ccd.pitch_x_um)
         angle = np.deg2rad(self.angle_deg)
         stated_nm = None if self.entry is None else self.entry.conditions.wavelength_nm
+        is_edge = self.entry is not None and self.entry.kind == "edge"
+        # Methods of edges count pixels along the axis nearest to the normal, others columns.
+        in_rows = is_edge and abs(np.sin(angle)) > np.sqrt(0.5)
+        frequency = self.frequency / pitch_ratio if in_rows else self.frequency
         return mtf(
             values,
-            self.frequency * abs(np.cos(angle)),
-            self.frequency * abs(np.sin(angle)) * pitch_ratio,
+            frequency * abs(np.cos(angle)),
+            frequency * abs(np.sin(angle)) * pitch_ratio,
             stated_nm or BROADBAND_NM,
         )
 
