@@ -1,6 +1,7 @@
 """Ends of the scale that frames reach: one definition for every method.
 
-The ceiling F is the lowest of full scale, where it is stated, and of the highest code, where a
+The ceiling F is the lowest of full scale, where it is stated, of full wells, whose pixels are as
+quiet in time as those without light (`_full_wells`), and of the highest code, where a
 plateau of touching pixels of one frame, or a pixel in several frames, holds it. Noise has single
 highest values; m of them have one code by chance with the probability p = (2 sqrt(pi) s)^(1 - m), s
 the noise in codes (the density at 0 of the difference of two normal values). A plateau is shown
@@ -31,7 +32,38 @@ def ceiling_of(data: NDArray, full_scale_dn: float | None) -> float | None:
         needs no noise near it.
     """
     shown = _shown_ceiling(data, needs_noise=full_scale_dn is not None)
-    return min((end for end in (full_scale_dn, shown) if end is not None), default=None)
+    ends = full_scale_dn, shown, _full_wells(data)
+    return min((end for end in ends if end is not None), default=None)
+
+
+def _full_wells(data: NDArray) -> float | None:
+    """Return the level of pixels whose wells are full, DN; None where none are seen.
+
+    Notes
+    -----
+    A full well has no shot noise: in time its pixel is as quiet as one without light, while those
+    of half as much light are noisy. Pixels are chosen by the first frame, and their variances are
+    those of the others.
+    """
+    count, first = CLIPPING.well_pixels, data[0].ravel()
+    low, high = float(first.min()), float(first.max())
+    sample = np.abs(first[:: 1 + first.size // CLIPPING.sample] - 0.5 * (low + high))
+    # Noise of a flat has most values half way between its ends.
+    if len(data) < CLIPPING.well_frames or np.median(sample) <= 0.25 * (high - low):
+        return None
+    groups = []
+    for level in (0.5 * (low + high), low, high):
+        near = np.flatnonzero(np.abs(first - level) < 0.35 * (high - low))[: CLIPPING.sample]
+        if near.size < count:
+            return None
+        near = near[np.argsort(np.abs(first[near] - level))[:count]]
+        groups.append(data[1:].reshape(len(data) - 1, -1)[:, near])
+    middle, dark, bright = (float(np.median(pixels.var(axis=0, dtype=float))) for pixels in groups)
+    quiet = CLIPPING.quiet_ratio * max(dark, 1.0 / 12.0)
+    if bright > quiet or middle < CLIPPING.noisy_ratio * quiet:
+        return None
+    # Among the brightest some may be full in few frames.
+    return float(np.quantile(groups[2], CLIPPING.partly_full)) - 2.0 * quiet**0.5
 
 
 def _shown_ceiling(data: NDArray, *, needs_noise: bool) -> float | None:

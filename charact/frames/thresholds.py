@@ -18,6 +18,15 @@ class ClippingLimits:
     plateau_fraction: float = 0.6
     least_noise_codes: float = 0.4  # Steps; with less an even plateau has one value: 79 % at 0.4
     max_plateau_chance: float = 0.05  # That the pixels of a plateau have one value by chance
+    # Full wells: fewest frames, pixels whose median variance counts, its ratio to that of the dark
+    # up to which they are as quiet (3 degrees of freedom of 8 pixels: 2 once in 100), and of
+    # half lit ones to that from which shot noise is seen
+    well_frames: int = 4
+    well_pixels: int = 8
+    quiet_ratio: float = 2.0
+    noisy_ratio: float = 5.0
+    sample: int = 2**12  # Pixels that show whether a frame is a flat, and of which those are
+    partly_full: float = 0.1  # Fraction of those pixels that may not be full
     ordinary_differences: float = 0.95  # Quantile of the differences of neighbours without edges
     min_relative_noise: float = 1e-5  # Noise over the range; less is rounding of floats
     min_rounding_shift_dn: float = 1e-3  # Shift that matters, DN
