@@ -327,13 +327,14 @@ def _settled_statistics(
     """
     features, parts = measured
     further: dict[str, list[Numbers]] = {}
+    simulated = 0
     while True:
         statistics = test.statistics(
             features.groups, parts, sizes=features.sizes, tolerances=tolerances
         )
-        most = VALIDATION.most_draws - VALIDATION.draws
-        names = [name for name in test.unsure(statistics) if len(further.get(name, ())) < most]
-        if not names:
+        names = test.unsure(statistics)
+        simulated += VALIDATION.draws * len(stacks_for(names, bench.chosen).compared)
+        if not names or simulated > VALIDATION.most_further:
             return statistics
         for _ in range(VALIDATION.draws):
             for name, numbers in bench.numbers_of_next_draw(names).items():

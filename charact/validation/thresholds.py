@@ -13,10 +13,11 @@ class ValidationThresholds:
     # Simulated sets of frames, each from its own posterior draw: with fewer the tails of the tests
     # grow, with more the time.
     draws: int = 20
-    # Most sets of the stacks of a statistic whose verdict those leave open, by a p-value within a
-    # factor of its level (of 20 sets, whose mean is off by .2 and whose spread by .16, ln p has an
-    # error of 2.3 at four standard deviations) or by a spread near the tolerance.
-    most_draws: int = 100
+    # Most stacks that are simulated for further sets of statistics whose verdict those leave open,
+    # by a spread near the tolerance or a p-value within a factor of its level: 40 sets of four
+    # stacks, or 80 of a dark and a target. Of 20 sets, whose mean is off by .2 and whose spread by
+    # .16 standard deviations, ln p has an error of 2.3 at four of them.
+    most_further: int = 160
     unsure_p: float = 10.0
     # Repetitions of the parametric bootstrap in one run. Runs follow until as many repetitions
     # deviate as far as the measured set that p is known to a factor of 1.4 (Besag and Clifford
