@@ -179,5 +179,5 @@ def with_departure(
         departure_unit=sizes[at].unit,
         tolerance=float(tolerance[at]),
         unseen=tuple(statistic.labels[rows[i]] for i in np.flatnonzero(spread > 1.0)),
-        least_spread=float(spread.min()),
+        least_spread=float(spread[np.isfinite(weight)].min()),
     )

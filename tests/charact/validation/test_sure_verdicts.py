@@ -10,6 +10,7 @@ from charact.observables.size import Size, Tolerance
 from charact.validation import GROUPS, VALIDATION, Numbers, Statistic, ValidationTest, ensemble
 from charact.validation import side_by_side as command
 from charact.validation.frame_features import FrameFeatures, stacks_for
+from charact.validation.statistic import with_departure
 from tests.charact.validation.bench_sets import BenchSets
 
 SIZES = {"level": {"": Size(unit="DN", factor=1.0)}}
@@ -144,3 +145,15 @@ def test_chance_alone_hides_no_number_of_dark_events(seed: int, events: float) -
     roots = np.sqrt(rng.poisson(events, 4000) + 0.375)
     ends = size.departure(np.quantile(roots, (0.025, 0.975)), float(np.sqrt(events + 0.375)))
     assert np.diff(ends)[0] / 2.0 < 80.0
+
+
+def test_a_number_without_a_size_has_no_part_in_the_least_spread() -> None:
+    """A logarithm of nothing is no size; the result is written to a file of finite numbers."""
+    numbers = {"labels": ("a", "b"), "measured": (0.0, 0.0), "low95": (-1.0, -1e3)}
+    statistic = Statistic(
+        name="n", title="N", distance=1.0, p_value=0.5, level=0.01, high95=(1.0, 1e3), **numbers
+    )
+    over = Size(unit="DN", of=np.exp)
+    with np.errstate(over="ignore"):
+        shown = with_departure(statistic, {"a": (SIZES["level"][""], 5.0), "b": (over, 5.0)}, 20)
+    assert shown.least_spread == pytest.approx(2.0930 / 1.96 / 5.0, rel=1e-3)
