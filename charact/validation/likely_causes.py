@@ -167,7 +167,8 @@ class CauseTest:
     .. math:: (1 + r^T C_a^{-1} r / (n - 1))^{-(n - 1 + k) / 2} |C_a|^{-1/2}, r = y - m - a s
 
     as C is estimated (Anderson, An Introduction to Multivariate Statistical Analysis, 7.7), where
-    C_a has the variances (e a s)^2 besides: no fault is the simulated one exactly.
+    C_a has the variances (e a s)^2 besides: no fault is the simulated one exactly. The factor is
+    that of least squares by C: numbers that show a size best would weigh as little as any by C_a.
     """
 
     def __init__(
@@ -203,14 +204,13 @@ class CauseTest:
         """
         shift = np.nan_to_num(self._vector(alternative.numbers_at(size))[self._known] - self._plain)
         factor, root = 1.0, self._root
-        for _ in range(CAUSES.iterations):
-            if alternative.power:
-                gap, direction = _whitened(root, self._gap, shift).T
-                factor = float(direction @ gap / max(float(direction @ direction), 1e-300))
-            if not alternative.two_sided:
-                factor = max(factor, 0.0)
-            variance = (CAUSES.shift_error * factor * shift) ** 2
-            root = np.linalg.cholesky(self._covariance + np.diag(variance))
+        if alternative.power:
+            gap, direction = _whitened(root, self._gap, shift).T
+            factor = float(direction @ gap / max(float(direction @ direction), 1e-300))
+        if not alternative.two_sided:
+            factor = max(factor, 0.0)
+        variance = (CAUSES.shift_error * factor * shift) ** 2
+        root = np.linalg.cholesky(self._covariance + np.diag(variance))
         gap, degrees = self._gap - factor * shift, self._sets - 1.0
         deviation = float(np.sum(_whitened(root, gap) ** 2)) / degrees
         return _Fit(

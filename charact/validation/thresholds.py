@@ -106,9 +106,8 @@ class CauseThresholds:
     """Set when a cause of a deviation is named."""
 
     # Relative error of the shift of a number by a simulated fault: periods, places and forms of
-    # real ones differ. Iterations of the factor, whose errors it scales.
+    # real ones differ.
     shift_error: float = 0.15
-    iterations: int = 2
     # Alternatives that are simulated again, how often, and the largest factor of a step in size.
     refined: int = 4
     refinements: int = 2

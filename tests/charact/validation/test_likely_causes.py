@@ -113,4 +113,4 @@ def test_defects_of_frames_are_named_with_their_size(
     cause = named_cause(defect)
     assert cause.name == name
     if size is not None:
-        assert cause.size == pytest.approx(size, rel=0.3)
+        assert cause.size == pytest.approx(size, rel=0.2)
