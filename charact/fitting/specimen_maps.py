@@ -115,6 +115,21 @@ class _Parts:
         )
         return measured if supported else None
 
+    def hot_pixels(self) -> PixelMap | None:
+        """Return the map of the pixels that stand out of rounding in both parts, which hides the
+        pattern of the others; None where none does.
+        """
+        if not (self.weight > 0.0).all():
+            return None
+        first, second = np.asarray(self.total) / self.weight[:, None, None]
+        height = np.where(np.abs(first) < np.abs(second), first, second)
+        sd_dn = LIMITS.least_noise_dn
+        value = np.where(np.abs(height) > OUTLIER_SD * sd_dn, height, 0.0)
+        # As much pattern as noise: no band is known.
+        unknown = tuple(np.full_like(power_of(value), sd_dn**2).tolist())
+        sd = np.full(value.shape, sd_dn)
+        return PixelMap(value=value, sd=sd, power=unknown, noise=unknown) if value.any() else None
+
 
 def with_maps(session: Session, fitted: Camera) -> Camera:
     """Return a fitted camera with the maps that half of the frames of its session support, and
@@ -207,7 +222,8 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
         dark_parts = at_zero
     variance = np.asarray(dark_parts.squares) / max(dark_parts.freedom, 1)
     noise_dn = float(np.sqrt(np.median(variance)))
-    offset = dark_parts.map_of(0.0) if noise_dn > LIMITS.least_noise_dn else None
+    is_rounded = noise_dn <= LIMITS.least_noise_dn
+    offset = dark_parts.hot_pixels() if is_rounded else dark_parts.map_of(0.0)
     noisy = None if has_pulses or offset is None else _noisy(dark_parts, variance)
     dark_dn = float(np.mean(dark_levels)) + (0.0 if offset is None else offset.mean)
     for chosen, frames in _read(flats):
@@ -327,7 +343,7 @@ def _notes(
             )
             continue
         residual = measured.value - measured.smooth
-        sd = 1.4826 * float(np.median(np.abs(residual)))
+        sd = max(1.4826 * float(np.median(np.abs(residual))), float(measured.sd[0, 0]))
         pixels = measured.outliers
         furthest = float(np.abs(residual)[pixels].max(initial=0.0)) / sd
         absorbed = f"{np.count_nonzero(pixels)} pixels beyond {OUTLIER_SD:g} of them"

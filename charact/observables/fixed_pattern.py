@@ -186,9 +186,11 @@ class Defects(Observable[Stacks[FrameView]]):
     Notes
     -----
     Pixels are those of the mean of each pixel's middle values less the median of 5 x 5 pixels,
-    spots those of the mean frame behind a difference of Gaussians. The mean of several highest
-    values is a smooth number, with a narrow distribution where nothing is defective; a count of
-    pixels above a limit is 0 in nearly all sets, and its distribution unknown.
+    spots those of the mean frame behind a difference of Gaussians, both of what departs from the
+    maps of the specimen: dust that has moved is as dark and bright as it was dark. The mean of
+    several highest values is a smooth number, with a narrow distribution where nothing is
+    defective; a count of pixels above a limit is 0 in nearly all sets, and its distribution
+    unknown.
     """
 
     name = "defects"
@@ -205,11 +207,10 @@ class Defects(Observable[Stacks[FrameView]]):
 
         numbers = {}
         for stack in (stacks.dark, stacks.flat):
-            inner, outer = (
-                cv2.GaussianBlur(stack.pattern, (0, 0), size) for size in FRAMES.spot_px
-            )
+            pattern, steady = stack.pattern - stack.known, stack.steady - stack.known
+            inner, outer = (cv2.GaussianBlur(pattern, (0, 0), size) for size in FRAMES.spot_px)
             pixels, spots = (
-                stack.steady - cv2.medianBlur(stack.steady, 5),
+                steady - cv2.medianBlur(steady, 5),
                 (inner - outer)[::3, ::3],
             )
             for name, local, count in (

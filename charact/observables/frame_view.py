@@ -23,10 +23,18 @@ class FrameView:
     values, in which pulses of single frames leave no trace; `change`: frames less the mean frame,
     scaled so that their variance is that of a frame, shape (frame, row, col); `interlaced`: whether
     odd rows were exposed at another time than even ones; `excess_ones`: fraction of ones in the
-    lowest bits of whole DN less that of values of the same level and noise, shape (bit,).
+    lowest bits of whole DN less that of values of the same level and noise, shape (bit,); `known`:
+    pattern that maps of the specimen give, about its mean, DN, from which defects depart.
     """
 
-    def __init__(self, label: str, frames: NDArray, *, interlaced: bool = False) -> None:
+    def __init__(
+        self,
+        label: str,
+        frames: NDArray,
+        *,
+        interlaced: bool = False,
+        known: Frames | float = 0.0,
+    ) -> None:
         self.label, self.interlaced = label, interlaced
         data = np.asarray(frames, np.float32)
         count = len(data)
@@ -48,6 +56,7 @@ class FrameView:
         self.power = self.spectrum(self.change)
         # A plane and a bowl are shading, not pattern.
         self.shading, self.pattern = _without_shading(self.mean)
+        self.known = known
 
     @property
     def mean_dn(self) -> float:

@@ -13,7 +13,7 @@ from charact.method import Context
 from charact.observables import Numbers, Observable, observables
 from charact.observables.frame_view import FrameView
 from charact.observables.size import Size
-from charact.validation.frames import MatchedFrames, MatchedStacks
+from charact.validation.frames import MatchedFrames, MatchedStacks, known_pattern
 from charact.validation.simulated_frames import in_parts
 from charact.validation.target_features import SetStacks
 from labdata import Camera
@@ -69,7 +69,7 @@ def features_of(
         for name, shot in (("edge", chosen.edge), ("point", chosen.point))
         if shot is not None
     }
-    stacks = _stacks(frames, chosen.dark, chosen.flats, context, **targets)
+    stacks = _stacks(frames, chosen, chosen.flats, context, **targets)
     dark = stacks.dark
     return FrameFeatures(
         groups={
@@ -92,13 +92,26 @@ def features_of(
 
 def _stacks(
     frames: Mapping[str, NDArray],
-    dark: MatchedFrames,
+    chosen: MatchedStacks,
     flats: tuple[MatchedFrames, ...],
     context: Context,
+    corner: tuple[int, int] | None = None,
     **targets: Any,
 ) -> SetStacks:
+    """Return the stacks of a set of frames; `corner`: of another part of the frame."""
+    dark = chosen.dark
+    dark_dn = float(frames[dark.label].mean())
     views = {
-        shot.label: FrameView(shot.label, frames[shot.label], interlaced=context.interlaced)
+        shot.label: FrameView(
+            shot.label,
+            frames[shot.label],
+            interlaced=context.interlaced,
+            known=known_pattern(
+                chosen.maps,
+                replace(shot, corner=corner or shot.corner),
+                float(frames[shot.label].mean()) - dark_dn if shot.kind == "flat" else 0.0,
+            ),
+        )
         for shot in (dark, *flats)
     }
     return SetStacks(
@@ -122,17 +135,21 @@ def features_of_parts(
     there beyond the crop is taken off, so that numbers of parts compare with those of the crop.
     """
 
-    def numbers_of(frames: Mapping[str, NDArray]) -> dict[str, dict[str, float]]:
-        stacks = _stacks(frames, chosen.dark, chosen.flats[-1:], context)
+    def numbers_of(
+        frames: Mapping[str, NDArray], corner: tuple[int, int] | None = None
+    ) -> dict[str, dict[str, float]]:
+        stacks = _stacks(frames, chosen, chosen.flats[-1:], context, corner)
         over_frame = {name: group for name, group in GROUPS.items() if group.over_frame}
         return {name: dict(group.numbers(stacks)) for name, group in over_frame.items()}
 
-    features = {part: numbers_of(frames) for part, frames in chosen.parts.items()}
+    features = {
+        part: numbers_of(frames, chosen.corners.get(part)) for part, frames in chosen.parts.items()
+    }
     known = [(camera, frames) for camera, frames in sets if camera.maps is not None]
     for camera, frames in known if features else ():
         crop = numbers_of(frames)
         for part, of_part in in_parts(chosen, camera, frames).items():
-            shown = numbers_of(of_part)
+            shown = numbers_of(of_part, chosen.corners[part])
             for name, numbers in features[part].items():
                 for label in numbers.keys() & shown[name].keys():
                     beyond = shown[name][label] - crop[name].get(label, np.nan)

@@ -78,7 +78,8 @@ class MatchedStacks:
     col), DN; `parts` have those of the dark and the brightest flat in other parts of the whole
     frame, of the same shape, by place, and `corners` their first rows and columns; `notes` name
     excluded stacks; `fitted` are the numbers that the light of a stack was fitted to, which are not
-    compared. Without an edge the MTF is not compared, without a point source no halo.
+    compared; `maps` those of the specimen. Without an edge the MTF is not compared, without a point
+    source no halo.
     """
 
     dark: MatchedFrames
@@ -91,6 +92,7 @@ class MatchedStacks:
     parts: Mapping[str, dict[str, NDArray]] = field(default_factory=dict)
     corners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     fitted: frozenset[str] = frozenset()
+    maps: SpecimenMaps | None = None
 
     @property
     def compared(self) -> tuple[MatchedFrames, ...]:
@@ -155,7 +157,28 @@ def choose(session: Session, maps: SpecimenMaps | None = None) -> MatchedStacks:
             for place, corner in corners.items()
         },
         corners=corners,
+        maps=maps,
     )
+
+
+def known_pattern(
+    maps: SpecimenMaps | None, shot: MatchedFrames, signal_dn: float
+) -> NDArray[np.float32] | float:
+    """Return the pattern of a stack of a signal by the maps of the specimen, about its mean, shape
+    (row, col), DN; 0 without maps.
+    """
+    if maps is None:
+        return 0.0
+    here, pattern = replace(maps, corner=shot.first), np.zeros(shot.shape, np.float32)
+    for measured, neutral, factor in (
+        (maps.offset_dn, 0.0, 1.0),
+        (maps.dark_rate_dn_per_s, 0.0, shot.conditions.exposure_s or 0.0),
+        (maps.light, 1.0, signal_dn),
+    ):
+        if measured is not None:
+            window = here.window(measured.mean, shot.shape, neutral)
+            pattern += np.float32(factor) * (window - np.float32(neutral))
+    return pattern
 
 
 def without_frames_of(

@@ -121,6 +121,8 @@ class PixelMap:
         for width_px in SPOT_PX:
             blurred = gaussian_filter(residual, width_px) if width_px else residual
             sd = 1.4826 * float(np.median(np.abs(blurred)))
+            if not width_px:
+                sd = max(sd, float(np.median(self.sd)))
             beyond = np.abs(blurred) > OUTLIER_SD * sd
             pixels = pixels if width_px else beyond
             heights = heights + np.where(beyond, blurred, 0.0)

@@ -18,9 +18,11 @@ from charact.fitting.specimen_maps import (
     measure_maps,
     with_maps,
 )
+from charact.method import Context
 from charact.session_measurement import measure
 from charact.validation import VALIDATION, validate
 from charact.validation import side_by_side as command
+from charact.validation.frame_features import features_of
 from charact.validation.frames import choose
 from labdata import (
     BadInput,
@@ -32,7 +34,7 @@ from labdata import (
     load_camera,
     save_sensor,
 )
-from labdata.camera.maps import IN_DARK, bands_of
+from labdata.camera.maps import IN_DARK, SpecimenMaps, bands_of
 from labdata.camera.parameters import Draws
 from simulate.lab import LabBench
 from tests.charact.cli.runner import done_well
@@ -41,6 +43,7 @@ from tests.truth.sessions import session_in_memory, stack_in_memory
 SHAPE = (120, 160)
 GAIN, BLACK, READ_DN, PRNU = 0.4, 50.0, 2.0, 0.012
 HOT = [(20, 30), (61, 100), (90, 7)]
+DUST = 0.2
 PHOTONS = (0.0, 1500.0, 4000.0, 9000.0)
 
 
@@ -312,3 +315,54 @@ def test_single_electrons_of_a_multiplying_register_are_no_hot_or_noisy_pixels(s
     places = {tuple(place) for place in np.argwhere(maps.defect & IN_DARK)}
     # Two electrons at one pixel in several frames of a part are rare.
     assert set(hot) <= places and len(places) < 2 + 0.001 * level[0].size
+
+
+def dusted(seed: int, shift: int) -> Session:
+    """Return the session of a camera with three spots of dust, moved over rows and columns."""
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]] - shift
+    spots = [(rows - row) ** 2 + (cols - col) ** 2 for row, col in ((30, 40), (70, 110), (90, 60))]
+    dust = 1.0 - DUST * sum(np.exp(-square / 2.0 / 2.5**2) for square in spots)
+    session, stacks = numpy_session(seed), []
+    for entry in session.stacks:
+        frames = entry.read()
+        data = np.rint(BLACK + (frames.data - BLACK) * (dust if entry.kind == "flat" else 1.0))
+        stacks.append(replace(entry, kept=replace(frames, data=data.astype(np.uint16))))
+    return replace(session, stacks=tuple(stacks))
+
+
+def test_dust_is_no_defect_of_its_map_and_both_dark_and_bright_where_it_has_moved(
+    seed: int,
+) -> None:
+    session = dusted(seed, 0)
+    context = Context(seed=0, quick=True, camera=session.camera, full_scale_dn=4095.0)
+    maps = measure_maps(session, session.camera)
+
+    def heights(shift: int, maps: SpecimenMaps | None) -> list[float]:
+        chosen = choose(dusted(seed, shift), maps)
+        found = features_of(chosen.measured, chosen, context=context)
+        names = [
+            f"ln height of the 10 most {side} spots of flat 9000, DN" for side in ("dark", "bright")
+        ]
+        return [float(np.exp(found.groups["defects"][name])) / found.mean_dn[-1] for name in names]
+
+    known, moved = heights(0, maps), heights(9, maps)
+    # A tenth of its depth: of 20 values of a spot the mean behind a difference of Gaussians.
+    assert max(known) < 0.1 * DUST
+    assert min(moved) > 0.2 * DUST
+    dark, bright = heights(9, None)
+    assert dark > 0.2 * DUST > bright * 3.0
+
+
+@pytest.mark.parametrize("noise_dn", [0.2, 0.35])
+def test_hot_pixels_of_darks_that_rounding_hides_are_in_the_map(seed: int, noise_dn: float) -> None:
+    rng = np.random.default_rng([seed, 6])
+    data = 16.3 + 0.1 * rng.standard_normal(SHAPE) + noise_dn * rng.standard_normal((16, *SHAPE))
+    for place in HOT:
+        data[:, *place] += 13.0
+    stack = FrameStack(data=np.rint(data).astype(np.uint8), full_scale_dn=255.0)
+    session = session_in_memory((stack_in_memory("dark", stack, bit_depth=8),), bit_depth=8)
+    maps = measure_maps(session, load_camera("pulnix-ag5745ef3"))
+    assert {tuple(place) for place in np.argwhere(maps.defect & IN_DARK)} == set(HOT)
+    drawn = maps.offset_dn.draw(1)
+    assert [drawn[place] for place in HOT] == pytest.approx([13.0] * 3, abs=0.5)
+    assert np.median(np.abs(drawn)) < 0.05 and maps.offset_dn.hidden_part == 1.0
