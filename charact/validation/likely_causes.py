@@ -71,8 +71,11 @@ def alternatives_of(
             def numbers_at(size: float, fault: Fault = fault, stacks: str = stacks) -> Groups:
                 return numbers_of(fault.put_into(frames, chosen, stacks, full_dn, size))
 
-            noise_dn = float(frames[labels[0]].std(axis=0).mean())
-            of_noise = fault.unit == "sd"
+            scale, unit = 1.0, fault.unit
+            if unit == "sd":
+                # Stacks of unlike noise have no size in DN in common.
+                noise_dn = float(frames[labels[0]].std(axis=0).mean())
+                scale, unit = (noise_dn, "DN") if len(labels) == 1 else (100.0, "% of the noise")
             yield Alternative(
                 name=fault.name,
                 cause=fault.cause,
@@ -82,8 +85,8 @@ def alternatives_of(
                 size=fault.size,
                 power=fault.power if fault.unit else 0,
                 two_sided=fault.two_sided,
-                scale=noise_dn if of_noise else 1.0,
-                unit="DN" if of_noise else fault.unit,
+                scale=scale,
+                unit=unit,
             )
 
 

@@ -114,3 +114,16 @@ def test_defects_of_frames_are_named_with_their_size(
     assert cause.name == name
     if size is not None:
         assert cause.size == pytest.approx(size, rel=0.2)
+
+
+def test_a_noise_of_one_stack_is_in_dn_and_of_all_stacks_in_percent_of_each(seed: int) -> None:
+    chosen, rng = BenchSets("machine-vision", seed=seed).chosen, np.random.default_rng(seed)
+    shots = enumerate(chosen.compared, 1)
+    frames = {s.label: 2.0 * n * rng.standard_normal((400, 8, 8)) for n, s in shots}
+    units = {
+        one.stacks: (one.unit, one.scale)
+        for one in alternatives_of(frames, chosen, lambda frames: {}, 4095.0)
+        if one.name == "noise of rows"
+    }
+    assert units["all stacks"] == ("% of the noise", 100.0)
+    assert units["bright"] == ("DN", pytest.approx(8.0, rel=0.02))
