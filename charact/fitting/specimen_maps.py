@@ -224,7 +224,8 @@ def measure_maps(session: Session, fitted: Camera) -> SpecimenMaps | None:
     noise_dn = float(np.sqrt(np.median(variance)))
     is_rounded = noise_dn <= LIMITS.least_noise_dn
     offset = dark_parts.hot_pixels() if is_rounded else dark_parts.map_of(0.0)
-    noisy = None if has_pulses or offset is None else _noisy(dark_parts, variance)
+    no_noise = has_pulses or is_rounded or offset is None  # variances of another law, or none
+    noisy = None if no_noise else _noisy(dark_parts, variance)
     dark_dn = float(np.mean(dark_levels)) + (0.0 if offset is None else offset.mean)
     for chosen, frames in _read(flats):
         signal = frames - dark_dn
