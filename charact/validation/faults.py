@@ -17,6 +17,8 @@ Frames = NDArray[np.floating]
 SEED = 5
 # Period of a hum, rows.
 HUM_ROWS = 17.0
+# Standard deviation of a spot of dust, px.
+DUST_PX = 3.5
 # Standard deviation of the blur of a mask that sharpens, px.
 MASK_PX = 1.0
 
@@ -55,6 +57,8 @@ class Fault:
         The stacks that may have it: "dark", "bright" flat, "lit" ones, "all", or a kind of target.
     control
         Name of its negative control, of the first stacks; empty: it has none.
+    of_maps
+        Whether it departs from maps of the specimen, so that a session without any has none.
     """
 
     name: str
@@ -67,9 +71,12 @@ class Fault:
     two_sided: bool = False
     stacks: tuple[str, ...] = ("all",)
     control: str = ""
+    of_maps: bool = False
 
     def labels(self, chosen: MatchedStacks, stacks: str) -> tuple[str, ...]:
         """Return the labels of stacks; empty where the session has none."""
+        if self.of_maps and chosen.maps is None:
+            return ()
         shots = {
             "dark": [chosen.dark],
             "bright": [chosen.flats[-1]],
@@ -130,6 +137,14 @@ def _cosmic_rays(frames: Frames, size: float, levels: StackLevels, rng) -> Frame
         size * levels.noise_dn
     )
     return frames
+
+
+def _spots(frames: Frames, rng) -> Frames:
+    """Return five spots of height 1, shape (row, col)."""
+    rows, cols = np.indices(frames.shape[1:])
+    centres = rng.uniform(0.1, 0.9, (5, 2)) * frames.shape[1:]
+    squares = np.array([(rows - row) ** 2 + (cols - col) ** 2 for row, col in centres])
+    return np.exp(-0.5 * squares / DUST_PX**2).max(axis=0)
 
 
 def _hum(frames: Frames, size: float, levels: StackLevels, rng) -> Frames:
@@ -213,6 +228,7 @@ def _jitter(frames: Frames, size: float, levels: StackLevels, rng) -> Frames:
     return np.stack(moved).astype(float)
 
 
+DUST = Cause(stage="dust on a window, the target or the sensor", remedy="clean ones, or new maps")
 KNOWN = (
     Fault(
         name="hot pixels",
@@ -235,6 +251,29 @@ KNOWN = (
         unit="sd",
         stacks=("dark", "all"),
         control="three cosmic rays a frame",
+    ),
+    Fault(
+        name=f"dust in spots of {DUST_PX:g} px",
+        cause=DUST,
+        flag="defects",
+        put=lambda frames, size, levels, rng: _scaled(
+            frames, 1.0 - size / 100.0 * _spots(frames, rng), levels
+        ),
+        size=10.0,
+        unit="%",
+        stacks=("flats", "lit"),
+    ),
+    Fault(
+        name="dust that has moved",
+        cause=DUST,
+        flag="defects",
+        put=lambda frames, size, levels, rng: _scaled(
+            frames, 1.0 + size / 100.0 * (_spots(frames, rng) - _spots(frames, rng)), levels
+        ),
+        size=10.0,
+        unit="%",
+        stacks=("flats", "lit"),
+        of_maps=True,
     ),
     Fault(
         name="hum",

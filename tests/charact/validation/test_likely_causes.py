@@ -105,6 +105,7 @@ def named_cause(seed: int) -> Callable[[str], LikelyCause]:
         ("drift of 2 % over the stack", "drift over the stack", 2.0),
         ("tilt of the light, 3 % over the width", "tilt of the light over the width", 3.0),
         ("jitter of rows, 0.3 px", "jitter of rows", 0.3),
+        ("5 dust spots, 10 %", "dust in spots of 3.5 px", None),
     ],
 )
 def test_defects_of_frames_are_named_with_their_size(
