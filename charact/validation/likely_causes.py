@@ -36,8 +36,8 @@ class Alternative:
         Returns the numbers of the first simulated set, changed by a size.
     size, power
         Size that is simulated first; the numbers follow its power, 0: it has no other size.
-    two_sided, least_size
-        Whether it may be negative, and from what size on.
+    two_sided, least_size, largest_size
+        Whether it may be negative, from what size on, and up to what amount.
     scale, unit
         Size in the unit that is shown over that of `size`.
     """
@@ -51,6 +51,7 @@ class Alternative:
     power: int = 1
     two_sided: bool = False
     least_size: float = -np.inf
+    largest_size: float = np.inf
     scale: float = 1.0
     unit: str = ""
 
@@ -85,6 +86,8 @@ def alternatives_of(
                 size=fault.size,
                 power=fault.power if fault.unit else 0,
                 two_sided=fault.two_sided,
+                # No light is below 0, and no signal more than lost.
+                largest_size=100.0 if fault.unit == "%" else np.inf,
                 scale=scale,
                 unit=unit,
             )
@@ -140,6 +143,12 @@ class _Fit:
         step = abs(self.factor) ** (1.0 / self.alternative.power)
         size = float(np.copysign(self.size * step, self.size * self.factor))
         return max(size, self.alternative.least_size)
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether a change can have that size."""
+        alternative = self.alternative
+        return not alternative.power or abs(self.agreeing_size) <= alternative.largest_size
 
     @property
     def next_size(self) -> float:
@@ -271,6 +280,7 @@ def likely_causes(test: CauseTest, alternatives: Iterable[Alternative]) -> tuple
             ]
             + fits[CAUSES.refined :]
         )
+    fits = [fit for fit in fits if fit.is_possible]
     if not fits:
         return ()
     weights = np.exp([fit.log_likelihood - fits[0].log_likelihood for fit in fits])

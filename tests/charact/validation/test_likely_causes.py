@@ -45,14 +45,16 @@ def _alternative(name: str, direction: np.ndarray, *, power: int = 1) -> Alterna
 ALTERNATIVES = (_alternative("first", FIRST), _alternative("second", SECOND, power=2))
 
 
-def _causes(rng: np.random.Generator, shift: np.ndarray) -> tuple[LikelyCause, ...]:
+def _causes(
+    rng: np.random.Generator, shift: np.ndarray, *, largest_size: float = np.inf
+) -> tuple[LikelyCause, ...]:
     """Return the causes named of a set of unit variance that is shifted."""
     sets, measured = rng.standard_normal((VALIDATION.draws, SIZE)), rng.standard_normal(SIZE)
     ensemble = Ensemble(values=sets, least_sd=np.full(SIZE, 1e-6), seed=0)
     test = CauseTest(
         {"level": (LABELS, ensemble)}, _groups(np.zeros(SIZE)), _groups(measured + shift)
     )
-    return likely_causes(test, ALTERNATIVES)
+    return likely_causes(test, [replace(one, largest_size=largest_size) for one in ALTERNATIVES])
 
 
 def test_the_change_that_was_made_is_named_with_its_size(seed: int) -> None:
@@ -75,6 +77,13 @@ def test_what_no_change_explains_is_not_named_nor_is_one_of_the_other_sign(seed:
     across = np.where(np.arange(SIZE) % 2, 12.0, -12.0)
     assert [_causes(rng, across) for _ in range(10)] == [()] * 10
     assert [_causes(rng, -12.0 * FIRST) for _ in range(10)] == [()] * 10
+
+
+def test_a_change_larger_than_any_is_no_cause(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for largest, named in ((15.0, ["first"]), (6.0, ["second"]), (2.0, [])):
+        causes = _causes(rng, 12.0 * FIRST, largest_size=largest)
+        assert [cause.name for cause in causes][:1] == named
 
 
 @pytest.fixture(scope="module")
