@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.estimators.noise.findings import fields_of, finding, inherited
+from charact.estimators.noise.findings import fields_of, finding
 from charact.estimators.noise.illumination import (
     gathering_s,
     lognormal_draws,
@@ -26,7 +26,7 @@ from charact.estimators.noise.illumination import (
     relative_sd_of,
 )
 from charact.method import Context
-from charact.verdict import Finding, judge
+from charact.verdict import Finding, inherited, judge
 from labdata import (
     Array,
     Camera,

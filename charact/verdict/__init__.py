@@ -49,6 +49,15 @@ class Finding:
         return seen + SETTLES, seen + AT_MOST
 
 
+def inherited(*measurements: Measurement) -> list[Finding]:
+    """Return the findings on measurements that another one is computed from."""
+    return [
+        Finding(flag=flag, effect=f"of {m.quantity}", remedy="see its notes")
+        for m in measurements
+        for flag in m.flags
+    ]
+
+
 def judge(measurement: Measurement, findings: Iterable[Finding]) -> Measurement:
     """Return the measurement with the status that its findings give it, and a note on each.
 

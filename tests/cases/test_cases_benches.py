@@ -95,7 +95,7 @@ def test_bars_are_found_at_their_phase_and_an_angle_otherwise_stated_is_noted(se
     (placed,) = bench.display_only
     assert placed.offset_px == pytest.approx(offset, abs=0.03)
     assert placed.target.angle_deg == pytest.approx(6.5, abs=0.1)
-    assert any("states an angle of 4 deg and shows 6.5" in note for note in bench.notes)
+    assert any("is stated at 4 deg and measured at 6.5" in note for note in bench.notes)
 
 
 def numbers_of(frames, camera: Camera) -> dict[str, float]:

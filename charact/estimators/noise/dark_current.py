@@ -10,7 +10,6 @@ from charact.estimators.noise.findings import (
     bounded,
     fields_of,
     finding,
-    inherited,
     judged,
     scaled,
 )
@@ -22,6 +21,7 @@ from charact.frames.rounding import QUANTISATION_DN2, QUANTISED_DN2, rounding_sd
 from charact.frames.stack_statistics import StackStatistics
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from charact.verdict import inherited
 from labdata import Array
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 

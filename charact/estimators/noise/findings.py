@@ -93,15 +93,6 @@ def judged(measurement: Measurement, remarks: Sequence[Finding | str]) -> Measur
     return judge(noted, findings_in(remarks))
 
 
-def inherited(*measurements: Measurement) -> list[Finding]:
-    """Return the findings on measurements that another one is computed from."""
-    return [
-        Finding(flag=flag, effect=f"of {m.quantity}", remedy="see its notes")
-        for m in measurements
-        for flag in m.flags
-    ]
-
-
 def posterior_findings(posterior: Posterior) -> list[Finding]:
     """Return the findings of a posterior's flags."""
     return [finding(flag, FLAGS[flag].rstrip(".")) for flag in posterior.flags]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from charact.estimators.noise.findings import Unmeasurable, finding, inherited
+from charact.estimators.noise.findings import Unmeasurable, finding
 from charact.estimators.noise.gain.series import FlatSeries, gain_of
 from charact.estimators.noise.gain.white_floor import floor_of
 from charact.estimators.noise.illumination import (
@@ -30,7 +30,7 @@ from charact.estimators.noise.illumination import (
 )
 from charact.estimators.noise.thresholds import GAIN, SNR
 from charact.method import Context
-from charact.verdict import Finding, judge
+from charact.verdict import Finding, inherited, judge
 from labdata import (
     Array,
     Measurement,

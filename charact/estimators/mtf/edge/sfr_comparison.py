@@ -4,6 +4,7 @@ import numpy as np
 
 from charact.estimators.mtf.curve import crossing_frequency
 from charact.method import Context, choose
+from charact.verdict import inherited, judge
 from labdata import Array, Curve, FrameStack, Measurement, Result, make_refusal
 from labdata.errors import BadInput
 from labdata.measurement import measurement_from_sd
@@ -92,10 +93,10 @@ def _difference(
         f"is not straight) {remainder:+.2f} %; both divide by the transfer of their derivative, "
         "neither undoes gamma."
     )
-    flags = (*ours.flags, *sfr50.flags)
-    return measurement_from_sd(
-        "sfr50_difference", "%", percent, joint / Z95, method=METHOD, flags=flags, **fields
+    difference = measurement_from_sd(
+        "sfr50_difference", "%", percent, joint / Z95, method=METHOD, **fields
     ).with_(notes=(note,))
+    return judge(difference, inherited(ours, sfr50))
 
 
 def shifts_of_mtf50(mtf: Curve, sfr: Curve, half_window_px: float) -> dict[str, float]:
