@@ -31,7 +31,7 @@ def plot_bloom_frames(data: Data) -> Any:
     shown = pick_levels(len(data["label"]))
     cols = min(3, len(shown))
     rows = -(-len(shown) // cols)
-    figure, grid = panels(rows, cols, size=(2.15 * cols + 0.3, 2.25 * rows + 0.5))
+    figure, grid = panels(rows, cols, size=(max(2.15 * cols + 0.3, 4.6), 2.25 * rows + 0.5))
     diameters = [float(d) for d in (*data["bloom_diameter_px"], data.get("halo_diameter_px")) if d]
     # Half the side of the image over the diameter of the halo or of the largest bloom.
     half = 0.5 * max(40, 1.5 * max(diameters, default=0.0))

@@ -23,6 +23,9 @@ from labdata.limits import OVERRIDDEN
 if TYPE_CHECKING:
     from charact.validation import Validation
 
+# Evidence that is drawn on the pictures, and that other quantities are computed from.
+NOT_FIGURES = ("layout", "noise-power")
+
 
 def write(
     session: Session,
@@ -90,7 +93,7 @@ def page(
         figures = [
             figure_registry.figure_of(name, data, frequency)
             for name, data in add_extent_data(session, result).items()
-            if name not in ("layout", *SHEET_ALONE)  # drawn on the pictures, and on the sheet
+            if name not in (*NOT_FIGURES, *SHEET_ALONE)
         ]
         mtf_figures = mtf_svgs(session, result, truth, frequency)
     return template_of("report.html.j2").render(

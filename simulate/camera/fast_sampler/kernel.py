@@ -161,9 +161,7 @@ def _on_lattice(
     n_cells = divisions[0] * divisions[1]
     image = _image_of(lattice_transfer) * n_cells * height
     parts = [_separable_parts(plane) for plane in _compact_planes(image, height, divisions)]
-    filtered = (
-        _image_of(_filtered_transfer(lattice_transfer, impulse, divisions[1])) * n_cells
-    )
+    filtered = _image_of(_filtered_transfer(lattice_transfer, impulse, divisions[1])) * n_cells
     return Kernel(
         divisions=divisions,
         height=height,
