@@ -22,7 +22,7 @@ from charact.reporting.summary import Frequency, in_cycles_per_pixel
 from charact.reporting.truth import Truth
 from labdata import Curve, Measurement, Result, Session
 
-# Words for curves that have no stack or file; those of columns have the ending "_vertical".
+# Words for curves that have no stack or file; those of columns have "_vertical" in their name.
 CURVES = {
     "mtf": "MTF",
     "sfr": "conventional SFR, ISO 12233",
@@ -203,6 +203,6 @@ def curve_title(name: str) -> str:
     >>> curve_title("mtf_joint_vertical")
     'all targets together, along columns'
     """
-    kind = name.removesuffix("_vertical")
+    kind = name.replace("_vertical", "")
     along = ", along columns" if kind != name else ""
     return CURVES.get(kind, kind.replace("_", " ")) + along

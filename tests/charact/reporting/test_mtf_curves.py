@@ -45,7 +45,15 @@ def test_points_and_curves_of_files_are_in_one_unit():
 
 
 @pytest.mark.parametrize(
-    "name", ["mtf", "mtf_vertical", "mtf_bars", "mtf_joint_vertical", "mtf_post_gain_free"]
+    "name",
+    [
+        "mtf",
+        "mtf_vertical",
+        "mtf_bars",
+        "mtf_joint_vertical",
+        "mtf_post_gain_free",
+        "mtf_post_gain_vertical_free",
+    ],
 )
 def test_a_legend_is_words(name):
     (axes,) = plot_files({"": result_of(0.0, name)}).axes
