@@ -38,16 +38,15 @@ def through_focus(
     rows = sorted(
         (
             (source.kind, abs(((source.of.orientation_deg or 0.0) + 90.0) % 180.0 - 90.0) > 45.0),
-            conditions[source.target].focus_mm,
-            source.of.value,
-            (source.of.interval68[1] - source.of.interval68[0]) / (2.0 * HALF68_SD),
+            (focus_mm, source.of.value or 0.0, (high - low) / (2.0 * HALF68_SD)),
         )
         for source in sources(result, kinds)
-        if conditions[source.target].focus_mm is not None and source.of.interval68 is not None
+        if (focus_mm := conditions[source.target].focus_mm) is not None
+        for low, high in [source.of.interval68 or (0.0, 0.0)]
     )
     found = Result()
     for (kind, vertical), group in groupby(rows, key=lambda row: row[0]):
-        position, mtf50, sd = np.array([row[1:] for row in group]).T
+        position, mtf50, sd = np.array([row[1] for row in group]).T
         found += _best_focus(position, mtf50, sd, f"{kind} {along[vertical]}", context)
     return found
 
@@ -62,26 +61,27 @@ def _best_focus(position: Array, mtf50: Array, sd: Array, series: str, context: 
         "mtf50_cy_per_px": mtf50.tolist(),
         "sd_cy_per_px": sd.tolist(),
     }
-    shown, reason = {f"focus:{series}": figure}, ""
-    ends = position[[0, -1]]
-    if np.unique(position).size < FOCUS.positions:
-        reason = f"must have {FOCUS.positions} positions of focus, got {np.unique(position).size}"
-    elif position[np.argmax(mtf50)] in ends:
-        best = position[np.argmax(mtf50)]
-        reason = f"must pass its best focus, got the sharpest at its end, {best:g} mm"
-    else:
-        grid = np.linspace(*ends, FOCUS.points)
-        best, curves, spread = _draw(position, mtf50, sd, grid, context.seed)
-        if np.mean((best > ends[0]) & (best < ends[1])) < QUANTILES[-1]:
-            reason = "must show a peak within its range, got one that may lie outside"
-    if reason:
-        refusal = make_refusal("best_focus", "mm", f"{series}: a series {reason}", **fields)
+    shown, ends = {f"focus:{series}": figure}, position[[0, -1]]
+
+    def refused(reason: str) -> Result:
+        reason = f"{series}: a series through focus must {reason}"
+        refusal = make_refusal("best_focus", "mm", reason, **fields)
         return Result(measurements=(refusal,), evidence=shown)
+
+    if (count := np.unique(position).size) < FOCUS.positions:
+        return refused(f"have {FOCUS.positions} positions of focus, got {count}")
+    if (sharpest := position[np.argmax(mtf50)]) in ends:
+        return refused(f"pass its best focus, got the sharpest at its end, {sharpest:g} mm")
+    grid = np.linspace(*ends, FOCUS.points)
+    best, curves, spread = _draw(position, mtf50, sd, grid, context.seed)
+    inside = (best > ends[0]) & (best < ends[1])
+    if (certainty := float(np.mean(inside))) < QUANTILES[-1]:
+        return refused(f"have its peak in the range, got a probability of {certainty:.2f}")
     low, middle, high = np.quantile(curves, (QUANTILES[0], 0.5, QUANTILES[-1]), axis=0)
     figure |= {"grid_mm": grid.tolist(), "value": middle.tolist()}
     figure |= {"interval95": [low.tolist(), high.tolist()]}
     note = f"{series}: MTF50 {middle.max():.3g} cy/px there; {len(position)} targets, {spread}."
-    number = measurement_from_draws("best_focus", "mm", best, notes=(note,), **fields)
+    number = measurement_from_draws("best_focus", "mm", best[inside], notes=(note,), **fields)
     return Result(measurements=(number,), evidence=shown)
 
 
