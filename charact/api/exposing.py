@@ -116,8 +116,10 @@ def expose(
     from labdata.tube_dose import Dose, dose_of, ledger_of, total_dose, warnings
 
     camera = load_camera(sensor) if isinstance(sensor, str | Path) else sensor
-    if camera.is_thermal:
-        raise BadInput(f"an exposure needs a camera of visible light, got {camera.name!r}")
+    if camera.is_thermal or float(camera.video.gamma) != 1.0:
+        raise BadInput(
+            f"an exposure needs a camera of visible light and gamma 1, got {camera.name!r}"
+        )
     most = {"lux": (lux, 1e6), "contrast": (contrast, 1.0), "reflectance": (reflectance, 1.0)}
     for name, (value, limit) in most.items():
         if not 0.0 < value <= limit:

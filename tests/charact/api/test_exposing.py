@@ -117,5 +117,7 @@ def test_an_exposure_that_is_out_of_reach_is_one_sentence():
         assert_one_sentence(charact("expose", *arguments), *words)
     document = json_of("expose", "machine-vision", "--lux", "0.05", "--f-number", "1.4")
     assert document["exposure"]["frames"] == 1
+    with pytest.raises(BadInput, match="gamma 1"):
+        expose(load_camera("pulnix-ag5745ef3").with_values({"video.gamma": 0.45}), lux=1e-3)
     with pytest.raises(BadInput, match="`reflectance` must lie in"):
         expose("machine-vision", lux=1.0, reflectance=2.0)
