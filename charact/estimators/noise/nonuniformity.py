@@ -50,6 +50,7 @@ class MeanFrame:
     # temporal variance of the means of columns and of rows about those of their frames, DN^2
     column_dn2: float
     row_dn2: float
+    frame_dn2: float = 0.0  # temporal variance of the means of frames, DN^2
 
     @cached_property
     def filtered(self) -> Array:
@@ -58,10 +59,12 @@ class MeanFrame:
 
     def variances(self, *, filtered: bool) -> tuple[Array, Array, Array]:
         """Return s^2 and its parts of columns, rows and pixels, their standard errors, and by how
-        much noise in time of complete columns and rows raises them, shape (4,) each, DN^2.
+        much noise in time of complete lines and frames shifts them, shape (4,) each, DN^2.
 
-        The errors are those of the mean frame of this chip; of a pattern s and residual noise n
-        they are (2 n^4 + 4 s^2 n^2)/pixels squared.
+        The standard takes noise in time for white: of it lines have sigma^2/(L M), and all of
+        sigma^2/L, flicker included, varies over the frame. The errors are those of the mean frame
+        of this chip; of a pattern s and residual noise n they are (2 n^4 + 4 s^2 n^2)/pixels
+        squared.
         """
         frame = self.filtered if filtered else self.dn
         rows, cols = frame.shape
@@ -76,7 +79,8 @@ class MeanFrame:
         number = np.array([rows * cols, cols, rows, rows * cols])
         sd = np.sqrt((2.0 * noise**2 + 4.0 * np.maximum(square, 0.0) * noise) / number)
         lines = np.maximum(noise[1:3] - noise[0] / np.array([rows, cols]), 0.0)
-        return square, sd, np.array([0.0, *lines, 0.0])
+        flicker = self.frame_dn2 / self.frames
+        return square, sd, np.array([-flicker, *lines, -flicker - lines.sum()])
 
 
 def mean_frame_of(level: StackStatistics) -> MeanFrame:
@@ -92,9 +96,9 @@ def mean_frame_of(level: StackStatistics) -> MeanFrame:
         columns.append(data.mean(axis=1))
         rows.append(data.mean(axis=2))
     mean = total / len(stack)
+    lines = np.concatenate(columns), np.concatenate(rows)
     by_column, by_row = (
-        (lines - lines.mean(axis=1, keepdims=True)).var(axis=0, ddof=1).mean()
-        for lines in (np.concatenate(columns), np.concatenate(rows))
+        (means - means.mean(axis=1, keepdims=True)).var(axis=0, ddof=1).mean() for means in lines
     )
     return MeanFrame(
         dn=mean,
@@ -102,6 +106,7 @@ def mean_frame_of(level: StackStatistics) -> MeanFrame:
         pixel_dn2=float(np.mean(square - total * mean) / (len(stack) - 1)),
         column_dn2=float(by_column),
         row_dn2=float(by_row),
+        frame_dn2=float(lines[1].mean(axis=1).var(ddof=1)),
     )
 
 
@@ -116,9 +121,9 @@ def _with_defects(entry: StackEntry) -> StackEntry:
 
 def highpass(frame: Array) -> Array:
     """Return a frame less its smooth part (8.1); beyond its edges it is mirrored."""
-    from scipy.ndimage import convolve1d
+    import cv2
 
-    return frame - convolve1d(convolve1d(frame, SMOOTH, axis=0), SMOOTH, axis=1)
+    return frame - cv2.sepFilter2D(frame, -1, SMOOTH, SMOOTH, borderType=cv2.BORDER_REFLECT)
 
 
 def nonuniformity(
@@ -144,7 +149,7 @@ def nonuniformity(
         square, sd, raised = of_dark.variances(filtered=bool(suffix))
         lit, lit_sd, lit_raised = of_flat.variances(filtered=bool(suffix))
         noise = (square, sd, raised)
-        response = (lit - square, np.hypot(lit_sd, sd), lit_raised)
+        response = (lit - square, np.hypot(lit_sd, sd), lit_raised - raised)
         for unit, scale, name, dn2, of_gain in (
             ("DN", np.ones_like(gain), "dsnu", noise, []),
             ("e-", 1.0 / gain, "dsnu", noise, findings),
@@ -169,13 +174,13 @@ def _root(
     findings: list[Finding],
     **fields: Any,
 ) -> Measurement:
-    """Return the root of a variance, its standard error and what lines in time add, DN^2, in a unit
-    of the scale's draws.
+    """Return the root of a variance, its standard error and its shift by lines and frames in time,
+    DN^2, in a unit of the scale's draws.
     """
     square, sd, raised = of_part
     factor = float(np.median(scale))
     if square <= 0.0:
-        limit = factor * float(np.sqrt(DATA_SHEET.limit_sd * sd))
+        limit = factor * float(np.sqrt(max(square - raised, 0.0) + DATA_SHEET.limit_sd * sd))
         return make_refusal(quantity, unit, HIDDEN.format(limit, unit), **fields)
     draws = scale * np.sqrt(np.maximum(square + sd * rng.standard_normal(len(scale)), 0.0))
     value = factor * float(np.sqrt(square))
@@ -184,9 +189,11 @@ def _root(
         (min(low, value), max(high, value)) for low, high in ((low68, high68), (low95, high95))
     )
     m = make_measurement(quantity, unit, value, interval68, interval95, **fields)
-    bound = value - factor * float(np.sqrt(max(square - raised, 0.0)))
-    effect = f"noise in time of complete lines of the stack adds {bound:.2g} {unit}"
-    lines = [finding("too-few-frames", effect, bound=bound, sign=1)] if bound > 0.0 else []
+    shift = value - factor * float(np.sqrt(max(square - raised, 0.0)))
+    bound, sign = abs(shift), 1 if shift > 0.0 else -1
+    effect = f"noise in time of complete lines and frames shifts it by {shift:+.2g} {unit}"
+    is_small = bound < DATA_SHEET.small_shift * (interval95[1] - interval95[0])
+    lines = [] if is_small else [finding("too-few-frames", effect, bound=bound, sign=sign)]
     judged = judge(m, [*findings, *lines])
     # No root is negative.
     limits = (

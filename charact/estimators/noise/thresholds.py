@@ -372,6 +372,7 @@ class DataSheetLimits:
     linear: tuple[float, float] = 0.05, 0.95  # 6.9: range of the linearity over saturation
     draws: int = 1000  # draws of the levels
     limit_sd: float = 3.0  # standard errors of the limit of a hidden pattern
+    small_shift: float = 0.02  # shift of a nonuniformity over its 95 % interval that needs no note
     quantiles: tuple[float, ...] = 0.025, 0.16, 0.84, 0.975  # limits of both intervals
     points: int = 256  # figure: groups of lines of a profile
     bins: int = 128  # figure: bins of a histogram; the standard has at most 256
