@@ -135,7 +135,7 @@ def plot_defect_histograms(data: Data) -> Any:
             first_array(data, key)
             for key in (
                 f"deviation_{unit}",
-                *(f"{of}_of_{unit}" for of in ("pixels", "normal", "share")),
+                *(f"{of}_of_{name.lower()}" for of in ("pixels", "normal", "share")),
             )
         )
         column[0].step(deviation, np.maximum(pixels, 0.1), where="mid", color=DATA, label="pixels")

@@ -179,8 +179,12 @@ def emva_xml(result: Result, title: str) -> str:
     for name, unit in (("DSNU", "dn"), ("PRNU", "percent")) if histograms else ():
         parent = _add(root, "defect_pixel", f"histogram_{name}", short=f"{name} histogram")
         data = ElementTree.SubElement(parent, "data")
-        for tag, key in (("bins", "deviation"), ("values", "pixels_of"), ("model", "normal_of")):
-            values = histograms[f"{key}_{unit}"]
+        for tag, key in (
+            ("bins", f"deviation_{unit}"),
+            ("values", f"pixels_of_{name.lower()}"),
+            ("model", f"normal_of_{name.lower()}"),
+        ):
+            values = histograms[key]
             ElementTree.SubElement(data, tag).text = " ".join(map(repr, values))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -242,8 +242,9 @@ def _pictures(
         {
             "figure": "defect-histograms",
             **{
-                f"{name}_{unit}" if name == "deviation" else f"{name}_of_{unit}": values
-                for unit, frame in smooth.items()
+                # Numbers of pixels are in no unit.
+                f"{name}_{unit}" if name == "deviation" else f"{name}_of_{of}": values
+                for of, (unit, frame) in zip(("dsnu", "prnu"), smooth.items(), strict=True)
                 for name, values in _histogram(frame).items()
             },
         },

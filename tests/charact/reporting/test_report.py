@@ -547,6 +547,12 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             **dict.fromkeys(("frequency_cy_per_px", "mtf", "sfr"), spread),
             "method": "edge-parametric",
         },
+        "neq": {
+            "frequency_cy_per_px": spread,
+            "neq_per_px": spread,
+            "interval95": [spread, spread],
+        },
+        "through-focus": dict.fromkeys(("focus_mm", "mtf50_cy_per_px", "sd_cy_per_px"), spread),
         "linearity": dict.fromkeys(
             ("photons", "signal_dn", "fitted_photons", "line_dn", "deviation_percent"), spread
         ),
@@ -575,9 +581,13 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
         },
         "defect-histograms": dict.fromkeys(
             (
-                f"{name}_{unit}"
-                for name in ("deviation", "pixels_of", "normal_of", "share_of")
-                for unit in ("dn", "percent")
+                "deviation_dn",
+                "deviation_percent",
+                *(
+                    f"{name}_of_{part}"
+                    for name in ("pixels", "normal", "share")
+                    for part in ("dsnu", "prnu")
+                ),
             ),
             spread,
         ),

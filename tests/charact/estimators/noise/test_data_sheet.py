@@ -197,6 +197,41 @@ def test_a_complete_session_is_to_the_standard_in_every_row_and_true(stacks):
         assert half < 0.4 * true, name
 
 
+def test_values_in_steps_of_16_have_the_same_sheet_but_for_their_unit(stacks):
+    """A camera of 12 bits that writes 16 shifts its values."""
+    few = [stack for stack in stacks if not stack.label.startswith("dark-")]
+    shifted = [
+        stack_in_memory(
+            stack.kind,
+            FrameStack(data=stack.kept.data * np.uint16(16), full_scale_dn=65520.0),
+            stack.conditions,
+            label=stack.label,
+        )
+        for stack in few
+    ]
+    plain, coarse = (
+        noise.measure(
+            session_in_memory(of, bit_depth=16),
+            method="variance",
+            context=Context(seed=1, quick=True, full_scale_dn=full),
+        )
+        for of, full in ((few, 4095.0), (shifted, 65520.0))
+    )
+    for name, unit, factor in (
+        ("dsnu_1288_row", "e-", 1.0),
+        ("dsnu_1288", "DN", 16.0),
+        ("prnu_1288_filtered", "%", 1.0),
+        ("linearity_error", "%", 1.0),
+        ("saturation_capacity_full_scale", "e-", 1.0),
+    ):
+        values = [result.find(name, unit=unit)[0].value for result in (plain, coarse)]
+        assert values[1] == pytest.approx(factor * values[0], rel=1e-3), name
+    figures = [result.evidence["defect-histograms"] for result in (plain, coarse)]
+    assert figures[0]["pixels_of_dsnu"] == figures[1]["pixels_of_dsnu"]
+    assert sum(figures[1]["pixels_of_dsnu"]) == SHAPE[0] * SHAPE[1]
+    assert figures[1]["deviation_dn"][0] == pytest.approx(16.0 * figures[0]["deviation_dn"][0])
+
+
 @pytest.mark.parametrize(
     ("kept", "names", "words"),
     [
