@@ -103,7 +103,7 @@ def _sheet_row(entry: StandardRow, result: Result) -> SheetRow:
         return SheetRow(
             entry=entry, text=text, status=m.status, flags=m.flags, departure=departure, m=m
         )
-    refused = [m.reason for m in result.find(entry.quantity) if m.reason]
+    refused = ["; ".join((m.reason, *m.notes)) for m in result.find(entry.quantity) if m.reason]
     reason = refused[0] if refused else OF_LIGHT if result.find("read_noise") else OF_GAIN
     return SheetRow(entry=entry, text="", status="refused", flags=(), departure=reason, m=None)
 

@@ -37,7 +37,7 @@ KEPT = float(1.0 - 2.0 * SMOOTH.max() ** 2 + (SMOOTH @ SMOOTH) ** 2)
 # Frames that are read at once.
 BLOCK = 16
 PARTS = ("", "_column", "_row", "_pixel")
-HIDDEN = "hidden by temporal noise: at most {:.3g} {}; more frames of one stack show less"
+HIDDEN = "hidden by temporal noise; more frames of one stack show less"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +181,9 @@ def _root(
     factor = float(np.median(scale))
     if square <= 0.0:
         limit = factor * float(np.sqrt(max(square - raised, 0.0) + DATA_SHEET.limit_sd * sd))
-        return make_refusal(quantity, unit, HIDDEN.format(limit, unit), **fields)
+        return make_refusal(
+            quantity, unit, HIDDEN, notes=(f"at most {limit:.3g} {unit}",), **fields
+        )
     draws = scale * np.sqrt(np.maximum(square + sd * rng.standard_normal(len(scale)), 0.0))
     value = factor * float(np.sqrt(square))
     low95, low68, high68, high95 = np.quantile(draws, DATA_SHEET.quantiles).tolist()
