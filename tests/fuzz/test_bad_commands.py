@@ -60,8 +60,7 @@ noise day --amplifier 9
 noise day --scheduler nowhere:1
 expose nowhere-µ --lux 1e-3
 expose letter.tif --lux 1e-3
-expose machine-vision --lux −1
-expose machine-vision --lux nan
+expose machine-vision --lux 0
 expose machine-vision --lux 1e-12
 expose machine-vision --lux 1 --contrast 0
 expose machine-vision --lux 1 --reflectance 2
