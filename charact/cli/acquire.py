@@ -93,7 +93,9 @@ def demo(
     out: Annotated[
         Path, typer.Argument(help="Folder for the session, the fitted sensor and the report.")
     ] = Path("demo"),
-    quick: Annotated[bool, Setting("Reduced run: fewer frames, no Markov chains.")] = False,
+    quick: Annotated[
+        bool, Setting("Fewer stacks and frames, no Markov chains, a quick validation.")
+    ] = False,
     seed: Annotated[
         int | None,
         Setting(

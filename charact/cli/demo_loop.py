@@ -25,6 +25,9 @@ CHANCE = 1e-3
 # How many times faster than real ones the virtual instruments move: the high voltage rises at 50
 # V/s to 800 V.
 QUICK_TIME_SCALE = 20.0
+# Frames of a stack, and the stacks that a quick demonstration does without.
+QUICK_FRAMES = 10
+NOT_QUICK = ("flat-1", "flat-4", "bars-0.08", "point-1", "point-3", "point-6", "point-8")
 MARKER_FILE = "demo.txt"
 
 
@@ -37,9 +40,14 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, force: bool, events
     _make_room(out, session, seed, force=force)
     print_message(f"seed {seed} (repeat with --seed {seed}); output folder: {out}", events=events)
     left_out: list[str] = []
+    plan = demo_plan(seed, quick=quick)
+    if quick:
+        stacks, all_stacks = (len(known.steps) for known in (plan, demo_plan(seed, quick=False)))
+        sentence = f"quick: {stacks} of the {all_stacks} stacks, of {QUICK_FRAMES} frames or fewer"
+        print_message(sentence, events=events)
     with _step("acquire", events), progress_bar(events=events) as progress:
         acquire_session(
-            demo_plan(seed, quick=quick),
+            plan,
             session,
             resume=False,
             progress=progress,
@@ -88,13 +96,17 @@ def max_z(numbers: int) -> float:
 
 
 def demo_plan(seed: int, *, quick: bool) -> Plan:
-    """Return the shipped plan with a seed; `quick`: with fewer frames, and a bench without wires
-    and processes.
+    """Return the shipped plan with a seed; `quick`: with fewer stacks and frames, and a bench
+    without wires and processes.
     """
     plan = replace(load_plan("demo"), seed=seed)
     if not quick:
         return plan
-    steps = tuple(replace(step, frames=min(step.frames, 10)) for step in plan.steps)
+    steps = tuple(
+        replace(step, frames=min(step.frames, QUICK_FRAMES))
+        for step in plan.steps
+        if step.label not in NOT_QUICK
+    )
     return replace(plan, steps=steps, wires=replace(plan.wires, bench="in-process"))
 
 

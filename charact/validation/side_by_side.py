@@ -51,7 +51,10 @@ Progress = Callable[[str, float], None]
 NULL = "Frames of further posterior draws in place of the measured ones"
 HALVES = "Every second measured frame against the others"
 NO_DRAWS = "the camera has no posterior draws: simulated at its values"
-QUICK = "a quick validation changes some parameters only, each once, for its negative controls"
+QUICK = (
+    "a quick validation draws one level of the point source, and changes some parameters only, "
+    "each once, for its negative controls"
+)
 
 
 def validate(
@@ -76,7 +79,8 @@ def validate(
         Departures that do not matter, in place of those of `TOLERANCES`.
     quick
         Whether only some parameters are changed for negative controls, whose detectable errors
-        follow from that one change, with a note; the statistics are the same.
+        follow from that one change, and figures have one level of the point source, with a note;
+        the statistics are the same.
     seed
         Seed of draws and frames.
     progress
@@ -99,7 +103,7 @@ def validate(
     watch = Stopwatch()
     progress("measured frames", 0.0)
     chosen = measured_bench(choose(session, sensor.maps), sensor)
-    levels, frames_of_levels = point_levels(session, chosen)
+    levels, frames_of_levels = ((), {}) if quick else point_levels(session, chosen)
     known_changes = [control for control in PARAMETERS if control.path_in(sensor) is not None]
     changes = [control for control in known_changes if control.quick or not quick]
     bench = _Bench(

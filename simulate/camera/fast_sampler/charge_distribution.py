@@ -141,6 +141,8 @@ def _distribution_by_sum(shape: float, mean: float) -> tuple[NDArray, NDArray, N
     max_number = int(mean + 10.0 * np.sqrt(mean) + 14)
     number = np.arange(1, max_number + 1)
     weight = np.exp(number * np.log(mean) - mean - gammaln(number + 1.0)) / -np.expm1(-mean)
+    is_likely = weight > 1e-7 * SMALLEST
+    number, weight = number[is_likely], weight[is_likely]
     max_amount = (
         mean + 1.0 + 9.0 * np.sqrt((mean + 1.0) * (1.0 + 1.0 / shape)) + 18.0 / min(shape, 1.0)
     )
@@ -151,10 +153,12 @@ def _distribution_by_sum(shape: float, mean: float) -> tuple[NDArray, NDArray, N
         np.linspace(0.1, np.sqrt(max_amount), points) ** 2,
     )
     amount = np.concatenate([fine, coarse])
-    argument = shape * amount[:, None], number[None, :] * shape
-    cumulative = gammainc(argument[1], argument[0]) @ weight
-    survival = gammaincc(argument[1], argument[0]) @ weight
-    return amount, cumulative, survival
+    scaled, shapes = shape * amount[:, None], number[None, :] * shape
+    # The smaller of both probabilities keeps its digits.
+    total, is_low = weight.sum(), amount < mean
+    low = gammainc(shapes, scaled[is_low]) @ weight
+    high = gammaincc(shapes, scaled[~is_low]) @ weight
+    return amount, np.append(low, total - high), np.append(total - low, high)
 
 
 def _distribution_by_transform(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:

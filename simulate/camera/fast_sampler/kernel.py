@@ -222,11 +222,9 @@ def _matching_transfer(
     centred on the pixel.
     """
     per_row, per_column = divisions
-    power = (
-        (transfer**2)
-        .reshape(FINEST // per_row, SIDE * per_row, FINEST // per_column, SIDE * per_column)
-        .sum(axis=(0, 2))
-    )
+    # Whole rows are summed first.
+    power = (transfer**2).reshape(FINEST // per_row, SIDE * per_row, -1).sum(axis=0)
+    power = power.reshape(SIDE * per_row, FINEST // per_column, -1).sum(axis=1)
     fy, fx = _frequencies(divisions)
     phase = np.exp(2j * np.pi * _shift(height, divisions, fy, fx))
     return np.copysign(np.sqrt(power), transfer[_fine_indices(fy, fx)]) * phase

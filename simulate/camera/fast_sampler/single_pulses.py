@@ -80,10 +80,11 @@ class SparseLight:
         """First cell beyond each of evenly spaced sums of the expected photoelectrons, shape
         (sum,).
         """
-        sums = np.arange(ACCURACY.n_search_guides) * (
-            self.cumulative_pe[-1] / ACCURACY.n_search_guides
-        )
-        return np.searchsorted(self.cumulative_pe, sums, side="right").astype(np.int32)
+        parts = ACCURACY.n_search_guides
+        # A total of 0 has no pulses to search for.
+        relative = self.cumulative_pe / max(self.cumulative_pe[-1], np.finfo(float).tiny)
+        cells = np.bincount((relative * parts).astype(np.int64) + 1, minlength=parts + 2)
+        return np.cumsum(cells[:parts]).astype(np.int32)
 
     @cached_property
     def charge_e(self) -> Array32:
