@@ -6,26 +6,26 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
-from http.cookies import CookieError, SimpleCookie
-from typing import Any
-from urllib.parse import parse_qs
+from typing import TYPE_CHECKING, Any
 
 from charact.live.live_loop import LiveLoop
 from labdata.errors import BadInput
 
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
-HEADERS = (
-    (
-        b"content-security-policy",
-        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-        b"connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
-    (b"cross-origin-opener-policy", b"same-origin"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"x-content-type-options", b"nosniff"),
-    (b"cache-control", b"no-store"),
-)
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "cache-control": "no-store",
+}
 
 
 def is_loopback(host: str) -> bool:
@@ -61,34 +61,52 @@ class PageAccess:
 
     async def __call__(self, scope: dict, receive: Any, send: Any) -> None:
         """Pass one request to the application, or refuse it."""
+        from starlette.datastructures import MutableHeaders
+        from starlette.requests import Request
+        from starlette.responses import PlainTextResponse, RedirectResponse
+
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
-        elif scope["type"] != "http":
+        if scope["type"] != "http":
             return  # no web sockets
-        elif why := self._why_not(scope):
-            await _answer(send, 403, why)
-        elif self._token is not None and self._shows(_query_token(scope)):
-            await self._give_cookie(send)
-        elif self._token is not None and not self._shows(self._cookie_of(scope)):
-            await _answer(send, 401, "this page needs the token in the address printed by charact")
-        else:
-            await self._app(scope, receive, _with_security_headers(send))
 
-    def _why_not(self, scope: dict) -> str | None:
+        async def send_hardened(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        request, answer = Request(scope), self._app
+        tokens = request.query_params.getlist("token")
+        if why := self._why_not(request):
+            answer = PlainTextResponse(why, 403)
+        elif len(tokens) == 1 and self._shows(tokens[0]):
+            # The token moves from the address, which the browser history keeps, to a cookie.
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(self._cookie, tokens[0], httponly=True, samesite="strict")
+        elif self._token is not None and not self._shows(request.cookies.get(self._cookie)):
+            answer = PlainTextResponse(
+                "this page needs the token in the address printed by charact", 401
+            )
+        await answer(scope, receive, send_hardened)
+
+    def _why_not(self, request: "Request") -> str | None:
         """Return the reason to refuse a request, or None."""
-        host = _only(scope, b"host")
-        if host is None or host.lower() not in self._hosts | self._local_address(scope):
+        host, origin, site = (
+            # Of a repeated header no value is right.
+            ", ".join(values) if (values := request.headers.getlist(name)) else None
+            for name in ("host", "origin", "sec-fetch-site")
+        )
+        if host is None or host.lower() not in self._hosts | self._local_address(request.scope):
             return f"this page is not at {host!r}"
-        origin = _only(scope, b"origin")
         if origin is not None and origin.lower() != f"http://{host.lower()}":
             return "this page answers no other origin"
-        if _only(scope, b"sec-fetch-site") not in (None, "same-origin", "none"):
+        if site not in (None, "same-origin", "none"):
             return "this page answers no other site"
-        if scope["method"] not in ("GET", "HEAD") and origin is None:
+        if request.method not in ("GET", "HEAD") and origin is None:
             return "a request that changes state needs an Origin header"
         return None
 
-    def _local_address(self, scope: dict) -> set[str]:
+    def _local_address(self, scope: Any) -> set[str]:
         """Return the local address of a connection, if the server is not on the loopback."""
         if self._token is None or not scope.get("server"):
             return set()
@@ -97,59 +115,14 @@ class PageAccess:
 
     def _shows(self, shown: str | None) -> bool:
         # Constant time: the duration must not depend on the correct part of a guess.
-        return shown is not None and hmac.compare_digest(
-            shown.encode(), (self._token or "").encode()
-        )
-
-    def _cookie_of(self, scope: dict) -> str | None:
-        try:
-            morsel = SimpleCookie(_only(scope, b"cookie") or "").get(self._cookie)
-        except CookieError:
-            return None
-        return morsel.value if morsel else None
-
-    async def _give_cookie(self, send: Any) -> None:
-        """Move the token from the address, which the browser history keeps, to a cookie."""
-        cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-        await _answer(send, 303, "", ((b"location", b"/"), (b"set-cookie", cookie.encode())))
+        if shown is None or self._token is None:
+            return False
+        return hmac.compare_digest(shown.encode(), self._token.encode())
 
 
 def new_token() -> str:
     """Return a random token."""
     return secrets.token_urlsafe(32)
-
-
-def _query_token(scope: dict) -> str | None:
-    values = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-    return values[0] if len(values) == 1 else None
-
-
-def _only(scope: dict, name: bytes) -> str | None:
-    """Return the value of a header; "(twice)" if it is repeated."""
-    values = [value for key, value in scope["headers"] if key == name]
-    if not values:
-        return None
-    return values[0].decode("latin-1") if len(values) == 1 else "(twice)"
-
-
-def _with_security_headers(send: Any) -> Any:
-    async def sending(message: dict) -> None:
-        if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message["headers"], *HEADERS]}
-        await send(message)
-
-    return sending
-
-
-async def _answer(send: Any, status: int, sentence: str, headers: tuple = ()) -> None:
-    body = sentence.encode()
-    plain = (
-        (b"content-type", b"text/plain; charset=utf-8"),
-        (b"content-length", str(len(body)).encode()),
-    )
-    hardened = _with_security_headers(send)
-    await hardened({"type": "http.response.start", "status": status, "headers": [*plain, *headers]})
-    await hardened({"type": "http.response.body", "body": body})
 
 
 NEEDS = "the live page needs packages that are not installed: pip install 'charact[live]'"
