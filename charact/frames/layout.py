@@ -157,6 +157,10 @@ class AreaView:
         return replace(stack, block=block, shape=(len(numbers), height, width), **stamps)
 
 
+# Rows that are looked at together.
+ROWS_AT_ONCE = 1024
+
+
 def profiles_of(mean_frame: NDArray) -> Profiles:
     """Return a mean frame of two pixels a band and more averaged over bands."""
     columns, rows = (
@@ -180,13 +184,22 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
     cols = frames.shape[2]
     ends_dn = float(frames.min()), float(frames.max())
     pixels = {}  # of the rows that hold one value
-    for frame, row in np.argwhere(is_even).tolist():
-        values = frames[frame, row]
+    even_rows = np.argwhere(is_even)
+    for numbers in np.array_split(even_rows, 1 + len(even_rows) // ROWS_AT_ONCE):
+        values = frames[numbers[:, 0], numbers[:, 1]]
+        # Pixels from each end of the row to the first that differs from the end's.
         first, last = (
-            np.argmax(np.append(part != part[0], True)) for part in (values, values[::-1])
+            np.where(differs.any(axis=1), differs.argmax(axis=1), cols)
+            for differs in (values != values[:, :1], (values != values[:, -1:])[:, ::-1])
         )
-        is_even[frame, row] = max(first, last) >= max(cols // 8, LAYOUT.bands)
-        pixels[frame, row] = np.s_[:first] if first >= last else np.s_[cols - last :]
+        held = np.maximum(first, last) >= max(cols // 8, LAYOUT.bands)
+        is_even[numbers[:, 0], numbers[:, 1]] = held
+        for (frame, row), at_first, at_last in zip(
+            numbers[held].tolist(), first[held].tolist(), last[held].tolist(), strict=True
+        ):
+            pixels[frame, row] = (
+                np.s_[:at_first] if at_first >= at_last else np.s_[cols - at_last :]
+            )
     lost = []
     for frame in np.flatnonzero(is_even.any(axis=1)).tolist():
         starts = np.flatnonzero(np.diff(is_even[frame], prepend=False, append=False))
