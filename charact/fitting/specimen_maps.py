@@ -95,7 +95,9 @@ class _Parts:
         value = np.sum(self.total, axis=0) / weight
         noise = (first - second) * float(np.sqrt(self.weight.prod()) / weight)
         sd = 1.4826 * float(np.median(np.abs(noise)))
-        disagree = np.abs(noise) > OUTLIER_SD * sd
+        # A pulse in most frames of one part must not stand out of the mean of both.
+        most_sd = MAP_LIMITS.pulse_sd if self.with_pulses else OUTLIER_SD
+        disagree = np.abs(noise) > most_sd * sd
         nearer = np.where(np.abs(first - neutral) < np.abs(second - neutral), first, second)
         value, noise = np.where(disagree, nearer, value), np.where(disagree, 0.0, noise)
         measured = PixelMap(value=value, sd=np.full(value.shape, noise.std()))

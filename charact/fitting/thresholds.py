@@ -261,6 +261,9 @@ class MapLimits:
     least_spread: float = 1e-3
     # Frames of a stack that is divided between maps and tests: a test needs two of them.
     divided_frames: int = 4
+    # Difference of the parts of a dark with pulses, standard deviations of its noise, beyond which
+    # the smaller one counts: 3 in 1000 normal pixels.
+    pulse_sd: float = 3.0
     # Chance of a pixel of normal noise in all of a frame that counts as noisy, and freedom of the
     # variances, with which a variance 5 times the mean is beyond chance (chi-squared).
     chance: float = 0.01
