@@ -1,6 +1,5 @@
 """Functions of many draws that keep their last result."""
 
-import operator
 from collections.abc import Callable
 from functools import wraps
 from typing import Any
@@ -11,19 +10,31 @@ from charact.observables import Values
 from labdata import Array
 
 
-def of_last_values(function: Callable[..., Array]) -> Callable[..., Array]:
-    """Return a function of values that keeps its last result for each of its other arguments:
-    several observations ask it of the same draws.
+def of_last_values(*paths: str) -> Callable[[Callable[..., Array]], Callable[..., Array]]:
+    """Return a decorator of a function of values, which keeps its last result for each of its other
+    arguments: several observations ask it of the same draws.
+
+    `paths`: parameters that the function depends on; none: all.
     """
-    last: dict[tuple[Any, ...], tuple[tuple[Array, ...], Array]] = {}
 
-    @wraps(function)
-    def kept(values: Values, *arguments: Any) -> Array:
-        needed = tuple(values.values())
-        known, result = last.get(arguments, ((), np.empty(0)))
-        if len(known) != len(needed) or not all(map(operator.is_, known, needed)):
-            result = function(values, *arguments)
-            last[arguments] = needed, result
-        return result
+    def decorate(function: Callable[..., Array]) -> Callable[..., Array]:
+        last: dict[tuple[Any, ...], tuple[tuple[Array | None, ...], Array]] = {}
 
-    return kept
+        @wraps(function)
+        def kept(values: Values, *arguments: Any) -> Array:
+            needed = tuple(values.get(path) for path in paths or values)
+            known, result = last.get(arguments, ((), np.empty(0)))
+            if len(known) != len(needed) or not all(map(_are_equal, known, needed)):
+                result = function(values, *arguments)
+                last[arguments] = needed, result
+            return result
+
+        return kept
+
+    return decorate
+
+
+def _are_equal(first: Array | None, second: Array | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return first is second or np.array_equal(first, second)

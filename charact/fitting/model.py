@@ -55,16 +55,19 @@ class Model:
         return values_of_description(self.sensor)
 
     @cached_property
-    def ridges(self) -> tuple[tuple[int, Ridge], ...]:
-        """Place of the carrier among the coordinates, and the ridge, of every observation that has
-        one.
+    def ridges(self) -> tuple[tuple[int, Ridge, Array], ...]:
+        """Place of the carrier among the coordinates, the ridge and its number at the centre of the
+        prior, of every observation that has one.
         """
         known = [
             ridge.ridge
             for ridge in self.observed
             if ridge.ridge is not None and ridge.ridge.carrier in self.prior.names
         ]
-        return tuple((self.prior.names.index(ridge.carrier), ridge) for ridge in known)
+        centre = self.values(self.prior.centre[None])
+        return tuple(
+            (self.prior.names.index(ridge.carrier), ridge, ridge.number(centre)) for ridge in known
+        )
 
     @cached_property
     def conditionals(self) -> tuple[tuple[int, GivenOthers, Observation], ...]:
@@ -81,7 +84,7 @@ class Model:
     @cached_property
     def is_carrier(self) -> NDArray[np.bool_]:
         """Which coordinates carry a ridge, shape (parameter,)."""
-        return np.isin(np.arange(len(self.prior.names)), [carrier for carrier, _ in self.ridges])
+        return np.isin(np.arange(len(self.prior.names)), [carrier for carrier, *_ in self.ridges])
 
     @cached_property
     def is_scored(self) -> NDArray[np.bool_]:
@@ -109,17 +112,16 @@ class Model:
         shear of unit determinant. Others are held as normal scores given all before them, see
         `GivenOthers`: of the width s, s0 in the prior, the residual is sqrt(2 ln(s0/s)).
         """
-        centre, (low, high) = self.prior.centre[None], self.prior.bounds.T
+        low, high = self.prior.bounds.T
         ends = np.clip(points, low, high)
         reflected = 2.0 * ends - points
         reflected = np.where(points == ends, points, reflected)
         out = np.where(self.is_scored, self.prior.of_scores(points), reflected)
         out[:, self.is_carrier] = points[:, self.is_carrier]
         clipped = np.clip(out, low, high)
-        for carrier, ridge in self.ridges:
-            clipped[:, carrier] = centre[0, carrier]
-            number_change = ridge.number(self.values(clipped)) - ridge.number(self.values(centre))
-            out[:, carrier] -= number_change / ridge.slope
+        for carrier, ridge, number in self.ridges:
+            clipped[:, carrier] = self.prior.centre[carrier]
+            out[:, carrier] -= (ridge.number(self.values(clipped)) - number) / ridge.slope
         narrowed = np.zeros((len(points), len(self.conditionals)))
         for column, (index, law, observation) in enumerate(self.conditionals):
             mean, sd = self._given_others(np.clip(out, low, high), index, law, observation)

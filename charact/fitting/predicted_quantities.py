@@ -322,7 +322,7 @@ def _after_cathode(
     )
 
 
-@of_last_values
+@of_last_values()
 def video_weights(values: Values) -> Array:
     """Return the weights by which the video filter adds a pixel to later ones, shape (n, pixel)."""
     if "video.bandwidth_mhz" not in values:
@@ -334,7 +334,7 @@ def video_weights(values: Values) -> Array:
     return sampled_response(values["video.bandwidth_mhz"], clock_mhz, order, VIDEO_CLOCKS)
 
 
-@of_last_values
+@of_last_values()
 def _filter_power(values: Values, nodes: "Nodes") -> Array:
     """Return |W(f)|^2 of the video filter at nodes along a row, shape (n, across).
 
@@ -345,7 +345,18 @@ def _filter_power(values: Values, nodes: "Nodes") -> Array:
     return filter_covariance(values, VIDEO_CLOCKS) * np.minimum(lags + 1, 2) @ cosines
 
 
-@of_last_values
+@of_last_values(
+    "ccd.pitch_x_um",
+    "ccd.pitch_y_um",
+    "taper.demagnification",
+    "taper.fibre_pitch_um",
+    "taper.interface_mtf_lp_per_mm",
+    "tube.mtf_exponent",
+    "tube.mtf_frequency_lp_per_mm",
+    "tube.post_gain_share",
+    "video.rows_per_pixel",
+    "video.bandwidth_mhz",
+)
 def _power_after_gain(values: Values, nodes: "Nodes") -> Array:
     """Return |H|^2 of the optical stages after the gain at nodes, shape (n, along, across)."""
     v = in_columns(values)

@@ -15,7 +15,7 @@ from charact.observables import Values
 from labdata import Array
 
 
-@of_last_values
+@of_last_values()
 def field_products(values: Values, gate_s: float, fields: int) -> Array:
     """Return the mean over arrival times of sum_i l_i l_(i+j) for j = 0 ... fields - 1, shape (n,
     fields); l_i is the fraction of a pulse's light in the i-th field after it. The first is the

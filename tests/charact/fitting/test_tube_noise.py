@@ -15,7 +15,8 @@ from charact.fitting import (
     tube_light,
     values_of_description,
 )
-from labdata import Camera, Posterior, Result, measurement_from_draws
+from charact.observables import Values
+from labdata import Camera, Posterior, Result, load_camera, measurement_from_draws
 
 SIGNAL_DN = np.array([5.0, 30.0, 120.0])
 POWER_SD, VARIANCE_SD = 0.01, 0.002
@@ -122,3 +123,21 @@ def test_without_a_test_of_image_lag_gain_and_blur_stand_alone(
         [m.value for m in result.measurements]
     )
     assert all(part.ridge is None for part in observed)
+
+
+@pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
+def test_what_is_kept_of_the_last_values_follows_every_parameter(name: str) -> None:
+    """A change of one is seen as after a change of all."""
+    values, moving = values_of_description(load_camera(name)), 0
+    others = {path: 1.1 * value for path, value in values.items()}
+
+    def covariances(*cameras: Values) -> list[float]:
+        """Return the covariances of cameras, asked one after the other."""
+        return [predicted_quantities.pulse_covariance(v, ((0, 0),)).item() for v in cameras]
+
+    for path, value in values.items():
+        changed = {**values, path: 1.01 * value}
+        _, before, after = covariances(others, values, changed)
+        assert after == covariances(others, changed)[1], path
+        moving += after != before
+    assert moving >= 7
