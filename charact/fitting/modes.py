@@ -64,9 +64,9 @@ class Slope:
         """Return the inverse curvature at a point, shape (parameter, parameter)."""
         return covariance_at(self.at(point).normal, self.bounds)
 
-    def ascend(self, start: Array) -> Mode:
+    def ascend(self, start: Array, iterations: int = MODES.iterations) -> Mode:
         """Return the mode that Gauss-Newton steps from a start reach."""
-        optimum = least_squares(self.at, start, self.bounds, iterations=MODES.iterations)
+        optimum = least_squares(self.at, start, self.bounds, iterations=iterations)
         covariance = covariance_at(optimum.at.normal, self.bounds)
         return Mode(
             point=optimum.point,
@@ -82,12 +82,19 @@ class Slope:
 
     def modes(self, starts: Iterable[Array]) -> tuple[Mode, ...]:
         """Return the distinct modes that starts lead to and that hold more than a fraction
-        `MODES.least_weight` of the posterior, the one that holds most first.
+        `MODES.least_weight` of the posterior, the one that holds most first. Of starts that lead to
+        the same place only the highest goes on to the end.
         """
-        ascents = sorted(map(self.ascend, starts), key=lambda mode: -mode.log_evidence)
-        distinct: list[Mode] = []
-        for mode in ascents:
-            if not any(mode.is_close(known) for known in distinct):
-                distinct.append(mode)
+        approached = _distinct(self.ascend(start, MODES.first_iterations) for start in starts)
+        distinct = _distinct(self.ascend(mode.point) for mode in approached)
         least_evidence = distinct[0].log_evidence + np.log(MODES.least_weight)
         return tuple(mode for mode in distinct if mode.log_evidence > least_evidence)
+
+
+def _distinct(modes: Iterable[Mode]) -> list[Mode]:
+    """Return the modes that are not close to one of more evidence, that of most evidence first."""
+    distinct: list[Mode] = []
+    for mode in sorted(modes, key=lambda mode: -mode.log_evidence):
+        if not any(mode.is_close(known) for known in distinct):
+            distinct.append(mode)
+    return distinct

@@ -83,7 +83,8 @@ class Modes:
     # ions have two modes, three in ten ascents end on the lower one.
     starts: int = 7
     seed: int = 59
-    iterations: int = 200  # of a ascend
+    iterations: int = 200  # of an ascent
+    first_iterations: int = 30  # after which ascents to the same place are joined
     difference: float = 1e-3  # step of finite differences over the prior's width
     # Standard deviations between modes that are two; fraction of the posterior that one must hold
     # to be drawn from.
