@@ -182,12 +182,19 @@ class Model:
         is_inside = np.all((coordinates >= low) & (coordinates <= high), axis=1)
         return np.where(is_inside, -0.5 * squares, -np.inf)
 
+    def _searched(self, points: Array) -> Array:
+        """Return residuals without those of the volume, shape (n, k): with them the highest mode is
+        a needle where a parameter is free given the others, which chains do not leave.
+        """
+        residuals, _ = self.residuals_of(points)
+        return residuals[:, : residuals.shape[1] - len(self.conditionals)]
+
     @cached_property
     def slope(self) -> Slope:
         """Residuals as a function of points."""
         is_free = (self.is_normal | self.is_carrier)[:, None]
         return Slope(
-            residuals=lambda points: self.residuals_of(points)[0],
+            residuals=self._searched,
             bounds=np.where(is_free, [-np.inf, np.inf], self.prior.bounds),
             width=np.where(self.is_normal, 1.0, self.prior.sd),
         )
