@@ -87,9 +87,10 @@ def levels_of(session: Session) -> tuple[StackLevel, ...]:
 
 
 def _is_full(level: StackLevel, levels: tuple[StackLevel, ...]) -> bool:
-    """Whether a level has far less noise than a dimmer one of the same amplification."""
-    return any(
-        dimmer.mean_dn < level.mean_dn
+    """Whether a flat has far less noise than a dimmer one of the same amplification."""
+    return not level.dark and any(
+        not dimmer.dark
+        and dimmer.mean_dn < level.mean_dn
         and dimmer.conditions.camera_gain_db == level.conditions.camera_gain_db
         and dimmer.conditions.em_gain == level.conditions.em_gain
         and level.variance_dn2 + LEVELS.full_sd * level.variance_sd_dn2

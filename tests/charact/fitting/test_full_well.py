@@ -83,6 +83,22 @@ def test_flats_of_full_wells_below_full_scale_are_left_out(
     assert any("of full wells" in note for note in fitted.notes) == bool(full)
 
 
+def test_a_dark_is_no_full_well_for_having_less_noise_than_one_of_long_exposure(seed: int) -> None:
+    """Behind a clamp both have one level, and either may be the lower one."""
+    rng = np.random.default_rng(seed)
+    session = linear_session((500.0, 2500.0), 1e6, seed)
+    noise_dn = rng.normal(0.0, 4.0 * READ_DN, (12, 90, 110))
+    codes = np.rint(BLACK_DN - 0.2 + noise_dn).clip(0).astype(np.uint16)
+    long = stack_in_memory(
+        "dark",
+        FrameStack(data=codes),
+        replace(EXPOSED, exposure_s=1.0),
+        label="long",
+        bit_depth=BITS,
+    )
+    assert len(levels_of(replace(session, stacks=(*session.stacks, long)))) == 4
+
+
 @pytest.mark.parametrize(
     ("brightest_e", "well_e"), [(6000.0, 9000.0), (9500.0, 14000.0), (12800.0, 30000.0)]
 )
