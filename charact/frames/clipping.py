@@ -1,7 +1,7 @@
 """Ends of the scale that frames reach: one definition for every method.
 
 The ceiling F is the lowest of full scale, where it is stated, of full wells, whose pixels are as
-quiet in time as those without light (`_full_wells`), and of the highest code, where a
+quiet in time as those without light (`full_wells`), and of the highest code, where a
 plateau of touching pixels of one frame, or a pixel in several frames, holds it. Noise has single
 highest values; m of them have one code by chance with the probability p = (2 sqrt(pi) s)^(1 - m), s
 the noise in codes (the density at 0 of the difference of two normal values). A plateau is shown
@@ -32,11 +32,10 @@ def ceiling_of(data: NDArray, full_scale_dn: float | None) -> float | None:
         needs no noise near it.
     """
     shown = _shown_ceiling(data, needs_noise=full_scale_dn is not None)
-    ends = full_scale_dn, shown, _full_wells(data)
-    return min((end for end in ends if end is not None), default=None)
+    return min((end for end in (full_scale_dn, shown) if end is not None), default=None)
 
 
-def _full_wells(data: NDArray) -> float | None:
+def full_wells(data: NDArray) -> float | None:
     """Return the level of pixels whose wells are full, DN; None where none are seen.
 
     Notes

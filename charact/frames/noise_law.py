@@ -12,11 +12,9 @@ factor.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from charact.frames.thresholds import NOISE
 from labdata.errors import check
@@ -147,10 +145,9 @@ def masked_covariance(
     part = np.s_[..., rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
     fields, valid = fields[part], valid[part]
     size = [-(-(length + max_lag) // 16) * 16 for length in valid.shape]
-    spectra: Any = fft.rfft2(np.concatenate([valid[None].astype(fields.dtype), fields]), size)
+    spectra = np.fft.rfft2(np.concatenate([valid[None].astype(fields.dtype), fields]), size)
     power = np.real(spectra) ** 2 + np.imag(spectra) ** 2
-    summed: Any = fft.irfft2(np.stack([power[0], power[1:].sum(axis=0)]), size)
-    lagged = summed.astype(np.float64)
+    lagged = np.fft.irfft2(np.stack([power[0], power[1:].sum(axis=0)]), size).astype(np.float64)
     pairs, products = lagged[:, lag[:, None], lag]
     pairs = np.rint(pairs)
     return np.where(pairs > 0, products / np.maximum(pairs * len(fields), 1), 0.0), pairs

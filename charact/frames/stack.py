@@ -80,14 +80,22 @@ class Stack:
         """Highest value that a pixel can have, DN: the lower one of what is stated and what a
         plateau shows; None: unknown.
         """
+        ends = self._end_of_scale_dn, clipping.full_wells(self.data)
+        return min((end for end in ends if end is not None), default=None)
+
+    @cached_property
+    def _end_of_scale_dn(self) -> float | None:
+        """Highest code that the digitiser can give, as stated or shown, DN; None: unknown."""
         stated = (self.stated_full_scale_dn, self.frames.full_scale_dn)
         known = next((value for value in stated if value is not None), None)
         return clipping.ceiling_of(self.data, known)
 
     @cached_property
     def top_dn(self) -> float:
-        """Ceiling; where it is unknown the highest value, DN."""
-        return float(self.data.max()) if self.ceiling_dn is None else self.ceiling_dn
+        """Highest code of the digitiser, DN, whatever the wells hold; where it is unknown the
+        highest value.
+        """
+        return float(self.data.max()) if self._end_of_scale_dn is None else self._end_of_scale_dn
 
     @cached_property
     def image_lag(self) -> ImageLagModel:

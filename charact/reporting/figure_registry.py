@@ -340,7 +340,7 @@ def figure_of(name: str, data: Data, frequency: Frequency = in_cycles_per_pixel)
         try:
             with report_style():
                 figure = draw(data)
-                _show_in_unit(figure, *frequency(1.0))
+                _show_in_unit(figure, *frequency(1.0, None))
                 svg, why = as_svg(figure, title), ""
         except (KeyError, ValueError, TypeError, IndexError) as error:
             why = f"its data cannot be plotted ({type(error).__name__}: {error})"

@@ -33,7 +33,8 @@ def plot_neq(data: Data) -> Any:
     """Plot noise-equivalent quanta against frequency with their 95 % band."""
     figure, axes = panel((5.6, 3.4))
     frequency = first_array(data, "frequency_cy_per_px")
-    plot_band(axes, frequency, *data["interval95"], MODEL)
+    low, high = data["interval95"]
+    plot_band(axes, frequency, low, high, MODEL)
     plot_line(axes, frequency, data["neq_per_px"], color=MODEL)
     axes.set(xlabel="spatial frequency (cy/px)", ylabel="noise-equivalent quanta (1/px)")
     axes.set_ylim(0.0)
@@ -44,7 +45,8 @@ def plot_through_focus(data: Data) -> Any:
     """Plot MTF50 of targets against the focus, with the fitted curve and its 95 % band."""
     figure, axes = panel((5.6, 3.4))
     if "grid_mm" in data:
-        plot_band(axes, data["grid_mm"], *data["interval95"], MODEL)
+        low, high = data["interval95"]
+        plot_band(axes, data["grid_mm"], low, high, MODEL)
         plot_line(axes, data["grid_mm"], data["value"], color=MODEL, label="fitted")
     plot_points(axes, data["focus_mm"], data["mtf50_cy_per_px"], data["sd_cy_per_px"], color=DATA)
     axes.set(xlabel="focus (mm)", ylabel="MTF50 (cy/px)")

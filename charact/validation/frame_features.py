@@ -64,7 +64,7 @@ def features_of(
 
     `names`: groups whose numbers are wanted.
     """
-    targets = {
+    targets: dict[str, Any] = {
         name: frames[shot.label]
         for name, shot in (("edge", chosen.edge), ("point", chosen.point))
         if shot is not None

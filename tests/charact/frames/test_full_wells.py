@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.frames.clipping import ceiling_of
+from charact.frames.clipping import full_wells
 
 BLACK_DN, READ_DN, GAIN = 100.0, 1.5, 0.2  # DN, DN, DN/e-
 
@@ -25,14 +25,13 @@ def spot(
 @pytest.mark.parametrize(("well_dn", "width_px"), [(900.0, 3.0), (2500.0, 6.0), (3300.0, 12.0)])
 def test_full_wells_are_a_ceiling(seed: int, well_dn: float, width_px: float) -> None:
     rng = np.random.default_rng(seed)
-    ceiling_dn = ceiling_of(spot(rng, 6.0 * well_dn, well_dn, width_px), 4095.0)
+    ceiling_dn = full_wells(spot(rng, 6.0 * well_dn, well_dn, width_px))
     assert ceiling_dn is not None
     assert BLACK_DN + well_dn - 9.0 * READ_DN < ceiling_dn < BLACK_DN + well_dn
-    usual_dn = ceiling_of(spot(rng, 0.9 * well_dn, well_dn, width_px), 4095.0)
-    assert usual_dn == 4095.0
+    assert full_wells(spot(rng, 0.9 * well_dn, well_dn, width_px)) is None
 
 
 def test_a_flat_top_that_moves_is_no_full_well(seed: int) -> None:
     """Its flanks are noisier than its shot noise, its top is not as quiet as the dark."""
     rng = np.random.default_rng(seed)
-    assert ceiling_of(spot(rng, 2500.0, 1e9, 8.0, moves_px=0.3), 4095.0) == 4095.0
+    assert full_wells(spot(rng, 2500.0, 1e9, 8.0, moves_px=0.3)) is None

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import charact
 from charact.estimators.mtf.curve import PINNED, quantiles
@@ -107,7 +108,7 @@ def _of_edge(source: ConstraintSource, noise: Mapping[str, Any], context: Contex
     )
 
 
-def _nearest(cells: Array, at: Array, count: int) -> Array:
+def _nearest(cells: Array, at: Array, count: int) -> NDArray[np.intp]:
     """Return the indices of the cells next to frequencies, shape (f, 2) -> (f, count)."""
     distance = np.sum((at[:, None] - cells) ** 2, axis=2)
     return np.argpartition(distance, count, axis=1)[:, :count]
@@ -119,7 +120,7 @@ def _disc_power(cells: Array, frequency: Array, diameter_px: float) -> Array:
 
     The transform is (pi d^2 / 4) 2 J1(pi d f) / (pi d f).
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
     from scipy.special import j1
 
     step = DETECTABILITY.step_cy_per_px
@@ -130,7 +131,7 @@ def _disc_power(cells: Array, frequency: Array, diameter_px: float) -> Array:
     square = (0.25 * np.pi * diameter_px**2 * 2.0 * j1(argument) / argument) ** 2
     ring = np.rint(radius / (frequency[1] - frequency[0])).astype(int)
     seen = ring < frequency.size
-    index = ring[seen] * len(cells) + cKDTree(cells).query(plane[seen])[1]
+    index = ring[seen] * len(cells) + KDTree(cells).query(plane[seen])[1]
     # One quadrant stands for four.
     total = np.bincount(index, 4.0 * step**2 * square[seen], frequency.size * len(cells))
-    return total.reshape(frequency.size, len(cells))
+    return total.reshape(frequency.size, len(cells)).astype(np.float64)

@@ -72,7 +72,7 @@ def _best_focus(position: Array, mtf50: Array, sd: Array, series: str, context: 
         return refused(f"have {FOCUS.positions} positions of focus, got {count}")
     if (sharpest := position[np.argmax(mtf50)]) in ends:
         return refused(f"pass its best focus, got the sharpest at its end, {sharpest:g} mm")
-    grid = np.linspace(*ends, FOCUS.points)
+    grid = np.linspace(ends[0], ends[1], FOCUS.points)
     best, curves, spread = _draw(position, mtf50, sd, grid, context.seed)
     inside = (best > ends[0]) & (best < ends[1])
     if (certainty := float(np.mean(inside))) < QUANTILES[-1]:
