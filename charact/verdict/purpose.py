@@ -288,7 +288,8 @@ def purpose_of(session: Session, result: Result) -> Purpose:
     """
     kinds = {entry.kind for entry in session.stacks}
     photons_known = any(e.conditions.photons_per_px is not None for e in session.of_kind("flat"))
-    if session.camera is not None and session.camera.is_thermal:
+    has_black_body = any(e.conditions.blackbody_c is not None for e in session.stacks)
+    if has_black_body or (session.camera is not None and session.camera.is_thermal):
         name = "infrared"
     elif "flat" not in kinds and kinds & {"edge", "bars"}:
         name = "focus"

@@ -183,6 +183,11 @@ def test_flats_of_known_photons_without_a_target_are_a_data_sheet():
         assert purpose_of(charact.session(stacks), Result()).name == name
 
 
+def test_flats_of_a_black_body_are_those_of_an_infrared_camera():
+    stacks = [*(blank("flat", blackbody_c=celsius) for celsius in (20.0, 30.0)), blank("edge")]
+    assert purpose_of(charact.session(stacks), Result()).name == "infrared"
+
+
 @pytest.mark.parametrize("name", PURPOSES)
 def test_where_nothing_is_measured_nothing_is_green_and_all_frames_are_named(name):
     purpose = PURPOSES[name]
