@@ -93,7 +93,7 @@ def test_the_page_of_an_ordinary_camera_leads_to_its_report(tmp_path, monkeypatc
         done = CliRunner().invoke(app, shlex.split(command))
         assert done.exit_code == 0, f"{command}: {done.output}"
     html = (folder / "report.html").read_text()
-    assert "EMVA 1288 data sheet" in html and "A. Miller" in html
+    assert "EMVA 1288 data sheet" in html and "bench 2" in html
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
 
 

@@ -185,9 +185,9 @@ def test_paper_has_a_figure_a_page_and_the_pictures_of_both_places(tmp_path, mon
 def test_the_head_states_what_session_or_options_do(made, tmp_path):
     logo = tmp_path / "logo.png"
     logo.write_bytes(b"a logo")
-    about = About(serial_number="SN <7>", operator="R. Ito", logo=str(logo))
+    about = About(serial_number="SN <7>", operator="bench 2", logo=str(logo))
     head = page(replace(made.session(), about=about), Result()).partition("<nav>")[0]
-    assert "SN &lt;7&gt;" in head and "R. Ito" in head and b64encode(b"a logo").decode() in head
+    assert "SN &lt;7&gt;" in head and "bench 2" in head and b64encode(b"a logo").decode() in head
     plain = page(made.session(), Result()).partition("<nav>")[0]
     assert "Serial number" not in plain and "Remarks" not in plain and "<img" not in plain
     for name, rule in (("logo.txt", "must be a picture"), ("none.png", "must exist")):
