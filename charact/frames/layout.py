@@ -181,6 +181,8 @@ def lost_rows(frames: NDArray, start: int = 0) -> tuple[Part, ...]:
     """
     ends = frames[:, :, : LAYOUT.bands], frames[:, :, -LAYOUT.bands :]
     is_even = np.any([np.all(end == end[:, :, :1], axis=2) for end in ends], axis=0)
+    if not is_even.any():
+        return ()
     cols = frames.shape[2]
     ends_dn = float(frames.min()), float(frames.max())
     pixels = {}  # of the rows that hold one value

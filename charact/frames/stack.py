@@ -77,25 +77,23 @@ class Stack:
 
     @cached_property
     def ceiling_dn(self) -> float | None:
-        """Highest value that a pixel can have, DN: the lower one of what is stated and what a
-        plateau shows; None: unknown.
+        """Highest value that a pixel can have, DN: that of full wells, which is below the
+        digitiser's, else the lower one of what is stated and what a plateau shows; None: unknown.
         """
-        ends = self._end_of_scale_dn, clipping.full_wells(self.data)
-        return min((end for end in ends if end is not None), default=None)
-
-    @cached_property
-    def _end_of_scale_dn(self) -> float | None:
-        """Highest code that the digitiser can give, as stated or shown, DN; None: unknown."""
-        stated = (self.stated_full_scale_dn, self.frames.full_scale_dn)
-        known = next((value for value in stated if value is not None), None)
-        return clipping.ceiling_of(self.data, known)
+        known, stated = self.frames.full_scale_dn, self.stated_full_scale_dn
+        wells_dn = clipping.full_wells(self.data) if len(self.data) > 1 else None
+        if wells_dn is not None:
+            return wells_dn
+        return clipping.ceiling_of(self.data, known if stated is None else stated)
 
     @cached_property
     def top_dn(self) -> float:
         """Highest code of the digitiser, DN, whatever the wells hold; where it is unknown the
         highest value.
         """
-        return float(self.data.max()) if self._end_of_scale_dn is None else self._end_of_scale_dn
+        known, stated = self.frames.full_scale_dn, self.stated_full_scale_dn
+        end_dn = clipping.ceiling_of(self.data, known if stated is None else stated)
+        return float(self.data.max()) if end_dn is None else end_dn
 
     @cached_property
     def image_lag(self) -> ImageLagModel:

@@ -243,6 +243,24 @@ def electron_quantities(
     was seen of each, with bounds relative to the slope.
     """
     plain, gain = gains
+    out = _electron_quantities(series, gains, remarks, context, fields)
+    if plain is gain:
+        return out
+    quick = replace(context, quick=True)
+    standard = _electron_quantities(series, (plain, plain), remarks, quick, fields)
+    by_name = {(m.quantity, m.unit): m for m in standard if m.value is not None}
+    # The gain itself is that of the standard.
+    return [out[0], *(_with_standard(m, by_name.get((m.quantity, m.unit))) for m in out[1:])]
+
+
+def _electron_quantities(
+    series: FlatSeries,
+    gains: tuple[emva1288.GainLine, emva1288.GainLine],
+    remarks: tuple[Remarks, Remarks],
+    context: Context,
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    plain, gain = gains
     excess = emva1288.excess_of(series.flats[0].conditions, context)
     notes = () if excess.note is None else (excess.note,)
     slope_remarks, why = (
@@ -299,16 +317,9 @@ def electron_quantities(
         for entry in rounding_findings(dark**2, included_dn2=0.0)
     ]
     out.append(judge(with_drift_of_darks(read, series), [*why, *rounded]))
-    out += [
+    return out + [
         judge(m, why) for m in ranges(series, efficiency, slope, dark_e2, excess.factor, **fields)
     ]
-    if plain is gain:
-        return out
-    quick = replace(context, quick=True)
-    standard = electron_quantities(series, (plain, plain), remarks, quick, fields)
-    by_name = {(m.quantity, m.unit): m for m in standard if m.value is not None}
-    # The gain itself is that of the standard.
-    return [out[0], *(_with_standard(m, by_name.get((m.quantity, m.unit))) for m in out[1:])]
 
 
 def _with_standard(m: Measurement, standard: Measurement | None) -> Measurement:
