@@ -114,7 +114,7 @@ class CauseThresholds:
     largest_step: float = 5.0
     # Least share of the excess of chi-squared, and odds against the likeliest, of a cause that is
     # named.
-    explained: float = 0.5
+    explained: float = 0.4
     least_odds: float = 0.05
 
 
