@@ -98,6 +98,23 @@ def test_a_sensor_that_spreads_its_noise_otherwise_fails_and_the_same_seed_gives
     assert session.camera.name == load_sensor("pulnix-ag5745ef3").name
 
 
+def test_a_quick_validation_changes_few_parameters_says_so_and_has_the_same_statistics(
+    session: Session, specimen: Camera, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    titles = ("gain", "blur after the gain")
+    known = tuple(control for control in PARAMETERS if control.title in titles)
+    assert [control.quick for control in known].count(True) == 1
+    monkeypatch.setattr(command, "PARAMETERS", known)
+    quick, whole = (validate(session, specimen, quick=way, seed=seed) for way in (True, False))
+    assert len(quick.power) == 1 and len(whole.power) == 2
+    assert [note for note in quick.notes if note.endswith("1 of 2")]
+    assert not [note for note in whole.notes if "quick" in note]
+    p_values = [{one.name: one.p_value for one in v.statistics} for v in (quick, whole)]
+    assert {k: v for k, v in p_values[0].items() if k != SCORES} == pytest.approx(
+        {k: v for k, v in p_values[1].items() if k != SCORES}
+    )
+
+
 def test_parts_of_the_crop_s_size_cover_the_frame(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
