@@ -121,7 +121,8 @@ class _Parts:
         """Return the map of the pixels that stand out of rounding in both parts, which hides the
         pattern of the others; None where none does.
         """
-        if not (self.weight > 0.0).all():
+        too_few = self.with_pulses and self.frames < MAP_LIMITS.pulse_frames
+        if too_few or not (self.weight > 0.0).all():
             return None
         first, second = np.asarray(self.total) / self.weight[:, None, None]
         height = np.where(np.abs(first) < np.abs(second), first, second)

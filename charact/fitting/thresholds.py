@@ -265,6 +265,9 @@ class MapLimits:
     # Difference of the parts of a dark with pulses, standard deviations of its noise, beyond which
     # the smaller one counts: 3 in 1000 normal pixels.
     pulse_sd: float = 3.0
+    # Frames of a tube's darks whose two medians pulses hardly reach: of five frames a median needs
+    # three pulses on a pixel, that of two is their mean.
+    pulse_frames: int = 10
     # Chance of a pixel of normal noise in all of a frame that counts as noisy, and freedom of the
     # variances, with which a variance 5 times the mean is beyond chance (chi-squared).
     chance: float = 0.01
